@@ -10,16 +10,16 @@ from typing import Annotated, Literal
 
 import msgspec
 
+from touchd.daemon.actions import ActionRule
 from touchd.daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings, RosbridgeSettings, Section
 from touchd.daemon.decide import DecisionSettings
 from touchd.daemon.pipeline import PipelineSettings
 from touchd.daemon.strict_yaml import StrictYamlError, convert
 from touchd.daemon.tracker.tracker import TouchSettings
-from touchd.daemon.words import Language, Vocabulary, vocabulary
+from touchd.daemon.words import Language, Vocabulary, Words, vocabulary
 from touchd.drivers.errors import TouchdError, written_out
 from touchd.drivers.frame import DEFAULT_PAD
 from touchd.drivers.pad.format import PRESETS, PadFormat, Side
-from touchd.drivers.robot.reactions import ActionRule, Words
 from touchd.drivers.robot.session import RobotSettings
 
 MAX_BYTES = 64 * 1024
@@ -100,7 +100,7 @@ class SensorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
 
 class SceneSettings(DecisionSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A scene for the pipeline, and what the robot does in it: see `touchd.drivers.robot.reactions`."""
+    """A scene for the pipeline, and what the robot does in it: see `touchd.daemon.actions`."""
 
     actions: tuple[ActionRule, ...] = ()
 

@@ -9,6 +9,7 @@ from touchd.daemon.feel import Feel
 from touchd.drivers.frame import DEFAULT_PAD, PadState
 
 Stage: TypeAlias = Literal["early", "revised", "final", "released", "ongoing", "uncertain"]
+ActionKind: TypeAlias = Literal["say", "animated_say", "behavior", "leds"]
 EndReason: TypeAlias = Literal["released", "settled", "longest", "gap", "sensor", "stopped"]
 # The largest integers that all readers of JSON keep exactly.
 Count: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
@@ -131,7 +132,7 @@ class RobotAction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", t
     """
 
     touch: Count
-    action: Literal["say", "animated_say", "behavior", "leds"]
+    action: ActionKind
     what: str
     time: str
     pad: str = DEFAULT_PAD

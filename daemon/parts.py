@@ -11,7 +11,16 @@ import numpy as np
 
 from touchd.daemon.config import ConfigError, JournalSettings, SceneSettings, Settings, config_errors
 from touchd.daemon.decide import NO_TOUCH
-from touchd.daemon.events import MAX_REASON_BYTES, UNCERTAIN, Event, RobotAction, RobotEvent, timestamp
+from touchd.daemon.events import (
+    MAX_REASON_BYTES,
+    UNCERTAIN,
+    ActionKind,
+    Event,
+    Prediction,
+    RobotAction,
+    RobotEvent,
+    timestamp,
+)
 from touchd.daemon.journal import Journal, JournalError, JournalSink
 from touchd.daemon.monitor import PadMonitor
 from touchd.daemon.pipeline import Pipeline, Viewers
@@ -23,7 +32,7 @@ from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.pad.sensor import FrameQueue, Sensor
 from touchd.drivers.queue import Signal
 from touchd.drivers.robot.link import RobotLink
-from touchd.drivers.robot.reactions import Kind, RobotMessage
+from touchd.drivers.robot.session import OpenSession
 from touchd.drivers.robot.worker import LinkState
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 
@@ -125,29 +134,36 @@ def _make_state_folder(settings: JournalSettings) -> None:
             settings.file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
 
 
-def link_to_robot(settings: Settings, emit: Emit) -> RobotSink | None:
+def link_to_robot(
+    settings: Settings, emit: Emit, open_session: OpenSession | None = None
+) -> RobotSink | None:
     """Return the link to the configured robot, if any; raises RobotError.
 
     emit: receives an event when the robot comes, goes or acts, from the link's threads.
+    open_session: how to reach the robot; real qi by default.
     """
 
     def report(state: LinkState, reason: str) -> None:
         why = one_line(reason, MAX_REASON_BYTES)
         emit(RobotEvent(state=state, time=timestamp(time.time()), reason=why))
 
-    def act(message: RobotMessage, kind: Kind, what: str) -> None:
+    def note(answer: Prediction, kind: ActionKind, what: str) -> None:
         now = timestamp(time.time())
         shown = one_line(what, MAX_REASON_BYTES)
-        emit(RobotAction(touch=message.touch, action=kind, what=shown, time=now, pad=message.pad))
+        emit(RobotAction(touch=answer.touch, action=kind, what=shown, time=now, pad=answer.pad))
 
     if settings.robot is None:
         return None
-    actions = {name: pad.scene.actions for name, pad in settings.pads.items()}
-    link = RobotLink(settings.robot, report, on_act=act, actions=actions, words=settings.vocabulary)
+    rules = {name: pad.scene.actions for name, pad in settings.pads.items()}
+    link = RobotLink(settings.robot, report, open_session, pads=rules, acts=any(rules.values()))
     for name in settings.pads:
         # Report "down" until frames come: a program that waits for "up" must not find a missing pad up.
         link.set_status("down", name)
-    return RobotSink(link)
+    if not any(rules.values()):
+        return RobotSink(link)
+    from touchd.daemon.reactions import Reactions
+
+    return RobotSink(link, Reactions(rules, settings.vocabulary, link.act, note).on_answer)
 
 
 def open_live_page(settings: Settings, models: Mapping[str, Classifier]) -> LiveServer | None:

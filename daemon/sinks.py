@@ -12,8 +12,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from typing import Generic, TypeVar
 
-import msgspec
-
 from touchd.daemon.events import (
     Event,
     Prediction,
@@ -23,8 +21,7 @@ from touchd.daemon.events import (
     epoch_s,
 )
 from touchd.drivers.queue import DroppingQueue
-from touchd.drivers.robot.link import RobotLink
-from touchd.drivers.robot.reactions import RobotMessage
+from touchd.drivers.robot.link import RobotLink, RobotMessage
 
 log = logging.getLogger(__name__)
 
@@ -182,12 +179,16 @@ class LinesSink(QueuedSink[Item]):
 
 
 class RobotSink:
-    """Sends told answers and the pads' states to the robot. The link has its own queue and thread."""
+    """Sends told answers and the pads' states to the robot. The link has its own queues and threads.
+
+    react: receives every answer, told or not.
+    """
 
     name = "robot"
 
-    def __init__(self, link: RobotLink) -> None:
+    def __init__(self, link: RobotLink, react: Callable[[Prediction], None] = lambda _: None) -> None:
         self._link = link
+        self._react = react
         self._numbers = itertools.count(1)
 
     def start(self) -> None:
@@ -196,19 +197,22 @@ class RobotSink:
     def put(self, event: Event) -> None:
         """Send a told prediction to the robot, react to any; returns at once. Call it from one thread."""
         if isinstance(event, Prediction):
-            message = RobotMessage(
-                gesture=event.gesture,
-                confidence=event.confidence,
-                time_s=epoch_s(event.time),
-                stage=event.stage,
-                touch=event.touch,
-                sequence=next(self._numbers) if event.told else 0,
-                pad=event.pad,
-                feel=msgspec.structs.asdict(event.feel) if event.feel else {},
-            )
-            self._link.publish(message, is_told=event.told)
+            if event.told:
+                self._link.publish(self._message(event))
+            self._react(event)
         elif isinstance(event, SensorEvent):
             self._link.set_status(event.state, event.pad)
 
     def stop(self, timeout_s: float) -> None:
         self._link.stop(timeout_s)
+
+    def _message(self, told: Prediction) -> RobotMessage:
+        return RobotMessage(
+            gesture=told.gesture,
+            confidence=told.confidence,
+            time_s=epoch_s(told.time),
+            stage=told.stage,
+            touch=told.touch,
+            sequence=next(self._numbers),
+            pad=told.pad,
+        )

@@ -1,11 +1,22 @@
 """Names and phrases for gestures: English and German are shipped, a deployment may add its own."""
 
 from collections.abc import Mapping
-from typing import Literal, TypeAlias
+from typing import Annotated, Literal, TypeAlias
+
+import msgspec
 
 from touchd.daemon.decide import NO_TOUCH
 from touchd.daemon.events import UNCERTAIN
-from touchd.drivers.robot.reactions import Words
+
+Name = Annotated[str, msgspec.Meta(min_length=1, max_length=200)]
+
+
+class Words(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A gesture's name ("pat"), and its form in a sentence ("a pat")."""
+
+    name: Name
+    phrase: Name
+
 
 Language: TypeAlias = Literal["en", "de"]
 Vocabulary: TypeAlias = Mapping[str, Words]

@@ -5,7 +5,6 @@ import statistics
 import sys
 import tempfile
 import threading
-import time
 import typing
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
@@ -17,12 +16,13 @@ import msgspec
 from numpy.random import RandomState
 from rich.console import Console
 
+from touchd.daemon.actions import Action, ActionRule, Leds
 from touchd.daemon.config import LiveSettings, SceneSettings, Settings
-from touchd.daemon.events import Event, Prediction, RobotAction, RobotEvent, TouchEnded, timestamp
+from touchd.daemon.events import Event, Prediction, TouchEnded
 from touchd.daemon.live.address import EVERY_ADDRESS, listen, parse_address, qr_code, require_library, urls_of
+from touchd.daemon.parts import link_to_robot
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
 from touchd.daemon.playback.stream import DEMO_RECORDING
-from touchd.daemon.sinks import RobotSink
 from touchd.daemon.terminal.describe import describe
 from touchd.daemon.terminal.view import View
 from touchd.daemon.words import name_of
@@ -31,11 +31,9 @@ from touchd.drivers.fakes.hand import DEMO_SEED, SimulatedHand, demo_gestures
 from touchd.drivers.fakes.loopback_robot import LoopbackRobot
 from touchd.drivers.fakes.services import Call
 from touchd.drivers.fakes.stub_robot import StubRobot
-from touchd.drivers.frame import DEFAULT_PAD, FRAME_RATE_HZ, Counts
+from touchd.drivers.frame import FRAME_RATE_HZ, Counts
 from touchd.drivers.installed import program_name
 from touchd.drivers.recording import NO_TOUCH, Stream, read_recordings, splice
-from touchd.drivers.robot.link import RobotLink
-from touchd.drivers.robot.reactions import Action, ActionRule, Leds
 from touchd.drivers.robot.session import RobotSettings, qi_installed
 from touchd.model.classifier import Classifier
 
@@ -45,6 +43,7 @@ if typing.TYPE_CHECKING:
 # The recording lasts 37 s; the demo ends within a minute even if something fails.
 LONGEST_S = 50.0
 SPEECH_S = 0.8
+ROBOT_STOP_S = 2.0
 PACE = 1.0
 # Most answers kept for the summary at the end.
 KEPT = 1000
@@ -230,21 +229,12 @@ def _run(
     else:
         # The stub robot runs in this process. So does its link, which gets the daemon's events below.
         stub = closing.enter_context(StubRobot(show_call, SPEECH_S))
-        link = RobotLink(
-            RobotSettings(url=stub.url),
-            lambda state, reason: show.put(
-                RobotEvent(state=state, time=timestamp(time.time()), reason=reason)
-            ),
-            open_session=stub.open_session,
-            actions={DEFAULT_PAD: settings.scene.actions},
-            words=settings.vocabulary,
-            on_act=lambda message, kind, what: show.put(
-                RobotAction(touch=message.touch, action=kind, what=what, time=timestamp(time.time()))
-            ),
-        )
-        forward = RobotSink(link).put
-        link.start()
-        closing.callback(link.stop)
+        with_robot = msgspec.structs.replace(settings, robot=RobotSettings(url=stub.url))
+        sink = link_to_robot(with_robot, show.put, stub.open_session)
+        assert sink is not None
+        forward = sink.put
+        sink.start()
+        closing.callback(sink.stop, ROBOT_STOP_S)
     daemon = SpawnedDaemon(settings, folder, log)
     follow(folder / "log")
     closing.callback(daemon.stop)

@@ -1,4 +1,4 @@
-"""The link to a Nao over qi: answers become events in its memory and, if configured, actions.
+"""The link to a Nao over qi: raises answers as events in its memory, and has it act.
 
 The daemon never waits for the robot, whether it is away, hangs or refuses.
 """
@@ -10,12 +10,12 @@ import threading
 import time
 import typing
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 
 from touchd.drivers.faults import FaultLog
 from touchd.drivers.frame import DEFAULT_PAD
-from touchd.drivers.robot.reactions import ActionRule, Kind, RobotMessage, Words
 from touchd.drivers.robot.session import (
     OpenSession,
     QiSession,
@@ -29,25 +29,41 @@ from touchd.drivers.robot.session import (
 from touchd.drivers.robot.worker import LinkState, Worker
 
 if typing.TYPE_CHECKING:
-    from touchd.drivers.robot.acting import ReactionWorker
+    from touchd.drivers.robot.acting import Act, ActWorker
 
 log = logging.getLogger(__name__)
 
 # How long PREFIX/Gesture stays in the robot's memory, as its own ALTactileGesture does.
 SHOWN_S = 1.0
-NO_ACTIONS: dict[str, Sequence[ActionRule]] = {DEFAULT_PAD: ()}
+
+
+@dataclass(frozen=True, slots=True)
+class RobotMessage:
+    """One answer about a touch.
+
+    gesture: a label of the model, or "uncertain". confidence: 0 to 1. time_s: seconds since 1970.
+    stage: early, revised, final, released, ongoing or uncertain.
+    touch: number of the touch on its pad since the daemon started. sequence: number of the message.
+    """
+
+    gesture: str
+    confidence: float
+    time_s: float
+    stage: str
+    touch: int
+    sequence: int
+    pad: str = DEFAULT_PAD
 
 
 class RobotLink:
-    """Sends answers to a robot and has it react to them.
+    """Sends answers to a robot and has it act.
 
-    Two workers, each with its own session: one raises events; the other, only if there are actions, has
-    the robot speak, move and shine, which takes seconds and must not delay an event.
+    Two workers, each with its own session: one raises events; the other, only if it `acts`, has the robot
+    speak, move and light up, which takes seconds and must not delay an event.
     settings: checked here; raises RobotError with one line when the user must change something.
     on_state: called from a worker's thread when the robot comes ("up", "") or goes ("down", why).
     open_session: how to reach the robot; real qi by default.
-    on_act: called from a worker's thread when the robot begins an action: its kind, its words or name.
-    actions: what the robot does on an answer, for each pad. words: of the gestures, for what it says.
+    pads: the names of those whose answers are sent. acts: whether `act` will be called.
     """
 
     def __init__(
@@ -55,10 +71,9 @@ class RobotLink:
         settings: RobotSettings,
         on_state: Callable[[LinkState, str], None] | None = None,
         open_session: OpenSession | None = None,
-        on_act: Callable[[RobotMessage, Kind, str], None] | None = None,
         *,
-        actions: Mapping[str, Sequence[ActionRule]] = NO_ACTIONS,
-        words: Mapping[str, Words] | None = None,
+        pads: Iterable[str] = (DEFAULT_PAD,),
+        acts: bool = False,
         limits: RobotLimits | None = None,
     ) -> None:
         self._settings, self._login = settings, read_login(settings)
@@ -69,15 +84,14 @@ class RobotLink:
         self._on_state = on_state or (lambda *_: None)
         self._state: LinkState | None = None
         self._faults = FaultLog(log)
-        self._events = _EventWorker(settings.prefix, actions, self._open, self._limits, self._note_state)
-        self._reactions: ReactionWorker | None = None
-        self._workers: list[_EventWorker | ReactionWorker] = [self._events]
-        if any(actions.values()):
+        self._events = _EventWorker(settings.prefix, pads, self._open, self._limits, self._note_state)
+        self._acts: ActWorker | None = None
+        self._workers: list[_EventWorker | ActWorker] = [self._events]
+        if acts:
             from touchd.drivers.robot import acting
 
-            on_act = on_act or (lambda *_: None)
-            self._reactions = acting.ReactionWorker(actions, words or {}, on_act, self._open, self._limits)
-            self._workers.append(self._reactions)
+            self._acts = acting.ActWorker(self._open, self._limits)
+            self._workers.append(self._acts)
 
     @property
     def counts(self) -> Counter[str]:
@@ -91,12 +105,14 @@ class RobotLink:
         for worker in self._workers:
             worker.start()
 
-    def publish(self, message: RobotMessage, *, is_told: bool = True) -> None:
-        """Act on an answer, and send it to the robot if `is_told`. Never waits; call it from one thread."""
-        if is_told:
-            self._events.put(message)
-        if self._reactions is not None:
-            self._reactions.react(message, is_told=is_told)
+    def publish(self, message: RobotMessage) -> None:
+        """Raise the events of an answer. Never waits; call it from one thread."""
+        self._events.put(message)
+
+    def act(self, acts: Sequence["Act"]) -> None:
+        """Have the robot carry acts out in order. Never waits; call it from one thread."""
+        assert self._acts is not None, "the link was made without acts"
+        self._acts.put(acts)
 
     def set_status(self, status: str, pad: str = DEFAULT_PAD) -> None:
         """Send the robot a pad's state: "up", "degraded" or "down". Never waits."""
@@ -168,8 +184,8 @@ class _EventWorker(Worker[RobotMessage]):
             self._send_status(session, pad, status)
 
     def handle(self, session: RobotSession, item: RobotMessage) -> None:
-        self._raise(session, self._name(item.pad, "Detail"), _detail(item))
-        self._raise(session, self._name(item.pad, "Gesture"), str(item.gesture))
+        self._raise_event(session, self._name(item.pad, "Detail"), _detail(item))
+        self._raise_event(session, self._name(item.pad, "Gesture"), str(item.gesture))
         self._remove_at_s[item.pad] = time.monotonic() + SHOWN_S
 
     def tend(self, session: RobotSession) -> bool:
@@ -195,7 +211,7 @@ class _EventWorker(Worker[RobotMessage]):
         return f"{self._prefix}/{event}" if pad == DEFAULT_PAD else f"{self._prefix}/{pad}/{event}"
 
     def _send_status(self, session: RobotSession, pad: str, status: str) -> None:
-        self._raise(session, self._name(pad, "Status"), status)
+        self._raise_event(session, self._name(pad, "Status"), status)
         self._sent_status[pad] = status
 
     def _remove(self, session: RobotSession, pad: str) -> None:
@@ -205,7 +221,7 @@ class _EventWorker(Worker[RobotMessage]):
             session.call("ALMemory", "removeData", gesture, limit_s=self._limits.call_s)
         del self._remove_at_s[pad]
 
-    def _raise(self, session: RobotSession, event: str, value: object) -> None:
+    def _raise_event(self, session: RobotSession, event: str, value: object) -> None:
         session.call("ALMemory", "raiseEvent", event, value, limit_s=self._limits.call_s)
 
 

@@ -41,13 +41,12 @@ from touchd.daemon.live.touch import Touching
 from touchd.daemon.parts import load_model
 from touchd.daemon.pipeline import Clock, Pipeline
 from touchd.daemon.playback.stream import DEMO_RECORDING
+from touchd.daemon.reactions import Choice, spoken
 from touchd.daemon.terminal.view import View
 from touchd.drivers.fakes.fabric import Fabric
 from touchd.drivers.fakes.pointers import PressingHands
 from touchd.drivers.frame import DEFAULT_PAD, FRAME_RATE_HZ, Frame
 from touchd.drivers.recording import read_recordings, splice
-from touchd.drivers.robot.acting import Reactions, spoken
-from touchd.drivers.robot.reactions import RobotMessage
 from touchd.drivers.robot.session import RobotSettings
 
 # The page goes grey when frames stop.
@@ -84,7 +83,7 @@ class Played:
         self, settings: Settings, put: Callable[[Event], None], put_live: Callable[[LivePrediction], None]
     ) -> None:
         self._put = put
-        self._reactions = Reactions(ACTIONS)
+        self._reactions = Choice(ACTIONS)
         self._vocabulary = settings.vocabulary
         self.began_ms: dict[int, int] = {}
         # A frame arrives at the sensor's time; real time is added after it, so that latencies are true.
@@ -104,9 +103,7 @@ class Played:
             self.began_ms[event.touch] = event.sensor_ms
         if not isinstance(event, Prediction):
             return
-        answer = RobotMessage(event.gesture, event.confidence, 0.0, event.stage, event.touch, 0)
-        reaction = self._reactions.choose(answer, time.monotonic(), is_told=event.told)
-        for action in reaction.actions if reaction else ():
+        for action in self._reactions.actions(event, time.monotonic()):
             if template := action.say or action.animated_say:
                 words = spoken(template, event.gesture, event.confidence, self._vocabulary)
                 self._put(

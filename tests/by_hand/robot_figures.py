@@ -21,15 +21,13 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
-from rigs.robots import GESTURE, Robot, States, linked, message
+from rigs.robots import GESTURE, Robot, States, answer, linked, message
 
 from touchd.daemon.commands.run import favour_latency
 from touchd.drivers.robot.link import RobotLink
-from touchd.drivers.robot.reactions import Action, ActionRule
 
 # Far shorter than the time between answers, so that calls meet the worker in every phase.
 EVERY_S = 0.005
-ACTIONS = (ActionRule(do=(Action(say="{gesture}"),), stages=("early",)),)
 STATES = ("up", "slow", "hung", "killed", "away")
 
 
@@ -47,10 +45,10 @@ def publishes(link: RobotLink, count: int) -> Iterator[Publish]:
     """Publish `count` messages, and yield each call's figures."""
     for number in range(count):
         time.sleep(EVERY_S)
-        told = message("rub" if number % 2 else "pat", touch=number)
+        gesture = "rub" if number % 2 else "pat"
         before = resource.getrusage(resource.RUSAGE_THREAD)
         cpu_s, began_s = time.thread_time(), time.perf_counter()
-        link.publish(told)
+        answer(link, gesture, number)
         wall_s, took_s = time.perf_counter() - began_s, time.thread_time() - cpu_s
         after = resource.getrusage(resource.RUSAGE_THREAD)
         yield Publish(wall_s, took_s, after.ru_nvcsw - before.ru_nvcsw, after.ru_nivcsw - before.ru_nivcsw)
@@ -62,7 +60,7 @@ def in_state(state: str) -> Iterator[RobotLink]:
     with Robot(call_s=0.2 if state == "slow" else 0.0) as robot, ExitStack() as closing:
         if state == "away":
             robot.kill()
-        link, states = closing.enter_context(linked(robot, actions=ACTIONS))
+        link, states = closing.enter_context(linked(robot, acts=True))
         states.wait_for("down" if state == "away" else "up")
         if state == "hung":
             robot.hang()

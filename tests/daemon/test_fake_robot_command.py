@@ -5,10 +5,10 @@ import signal
 import socket
 
 from rigs.programs import TOUCHD, Program, ran
-from rigs.robots import SAY, link_threads, message, needs_qi
+from rigs.robots import link_threads, needs_qi
 from rigs.wait import WITHIN_S
 
-from touchd.drivers.frame import DEFAULT_PAD
+from touchd.drivers.robot.acting import say
 from touchd.drivers.robot.link import RobotLink
 from touchd.drivers.robot.session import RobotSettings
 
@@ -19,9 +19,9 @@ def test_it_prints_its_address_and_every_call() -> None:
     with Program(*TOUCHD, "fake-robot", "--port", "0") as process:
         url = json.loads(process.stdout.readline())["listening"]
         assert url.startswith("tcp://127.0.0.1:")
-        link = RobotLink(RobotSettings(url=url), actions={DEFAULT_PAD: (SAY,)})
+        link = RobotLink(RobotSettings(url=url), acts=True)
         link.start()
-        link.publish(message("pat"))
+        link.act([say("pat")])
         calls = map(json.loads, process.stdout)
         said = next(call for call in calls if call["method"] == "say")
         assert said["arguments"] == ["pat"]

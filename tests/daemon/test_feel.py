@@ -2,17 +2,19 @@
 
 import time
 
+import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from rigs.made_events import PREDICTION
 from rigs.scripted_model import Scripted
 
+from touchd.daemon.actions import MEASURES, Action, ActionRule
 from touchd.daemon.events import Event, Prediction, TouchEnded
 from touchd.daemon.feel import Feel
 from touchd.daemon.pipeline import Pipeline, PipelineSettings
+from touchd.daemon.reactions import Choice
 from touchd.drivers.frame import Frame
-from touchd.drivers.robot.acting import Reactions
-from touchd.drivers.robot.reactions import Action, ActionRule, RobotMessage
 
 RATE_HZ = 54
 
@@ -74,8 +76,9 @@ def test_a_rule_can_require_a_hard_or_short_touch() -> None:
     hard = ActionRule(do=(say,), gestures=("pat",), above={"peak": 300}, below={"duration_s": 2})
 
     def says(**feel: float) -> bool:
-        message = RobotMessage("pat", 0.9, 0.0, "final", 1, 1, feel=feel)
-        return Reactions([hard]).choose(message, 0.0) is not None
+        measured = Feel(**{**dict.fromkeys(MEASURES, 0.0), **feel}) if feel else None
+        answer = msgspec.structs.replace(PREDICTION, gesture="pat", feel=measured)
+        return bool(Choice([hard]).actions(answer, 0.0))
 
     assert says(peak=300, duration_s=1.9)
     assert not says(peak=299, duration_s=1.0)

@@ -21,6 +21,7 @@ from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S, wait_for
 
 from touchd.daemon import cli, commands
+from touchd.daemon.actions import Action, ActionRule
 from touchd.daemon.commands.settings import find_settings
 from touchd.daemon.config import ConfigError, JournalSettings, LiveSettings, SensorSettings, Settings, load
 from touchd.daemon.doctor.line import check_rate
@@ -29,11 +30,11 @@ from touchd.daemon.events import Prediction, TouchEnded, encode
 from touchd.daemon.journal import JournalError
 from touchd.daemon.live.address import qr_code, urls_of
 from touchd.daemon.parts import check_pad, load_model, open_journal
+from touchd.daemon.reactions import Reactions
 from touchd.daemon.sinks import RobotSink
 from touchd.drivers.fakes.stub_robot import StubRobot
-from touchd.drivers.frame import Frame
+from touchd.drivers.frame import DEFAULT_PAD, Frame
 from touchd.drivers.installed import TORCH_ON_CPU, how_to_install, program_name
-from touchd.drivers.robot.reactions import Action, ActionRule
 from touchd.drivers.robot.session import RobotLimits
 
 ROOT = Path(__file__).parents[2]
@@ -265,8 +266,9 @@ def test_every_settled_touch_triggers_the_example_action_once() -> None:
     calls = CallLog()
     rule = ActionRule(do=(Action(say="{gesture}"),), stages=("final", "released"))
     limits = RobotLimits(stale_s=30.0)
-    with StubRobot(calls.add) as robot, linked(robot, actions=(rule,), limits=limits) as (link, _):
-        sink = RobotSink(link)
+    with StubRobot(calls.add) as robot, linked(robot, acts=True, limits=limits) as (link, _):
+        rules = {DEFAULT_PAD: (rule,)}
+        sink = RobotSink(link, Reactions(rules, {}, link.act, lambda *_: None).on_answer)
         for event in events:
             sink.put(event)
         settled = [event.gesture for event in events if isinstance(event, TouchEnded)]

@@ -13,12 +13,13 @@ from rigs.made_events import PREDICTION
 from rigs.patient_port import PATIENT, playing
 from rigs.peers import broker, needs_mosquitto, subscribed
 from rigs.programs import TOUCHD, Program
-from rigs.robots import SAY, Robot
+from rigs.robots import Robot
 from rigs.running_daemon import run_daemon
 from rigs.sockets import free_port
 from rigs.wait import WITHIN_S, wait_for
 
 from touchd.daemon import cli
+from touchd.daemon.actions import Action, ActionRule
 from touchd.daemon.bridges.settings import MqttSettings
 from touchd.daemon.config import (
     MAX_PADS,
@@ -36,7 +37,6 @@ from touchd.daemon.kept.touch_store import folder_of, kept_touches
 from touchd.daemon.kept.touches import read_journal
 from touchd.daemon.parts import link_to_robot, make_parts
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
-from touchd.daemon.sinks import RobotSink
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.pad.format import PRESETS
@@ -44,8 +44,6 @@ from touchd.drivers.pad.port import open_port, read_waiting
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.queue import Signal
 from touchd.drivers.recording import Stream, ideal_clock_ms
-from touchd.drivers.robot.link import RobotLink
-from touchd.drivers.robot.reactions import ActionRule
 from touchd.drivers.robot.session import RobotSettings
 from touchd.model.classifier import SHIPPED_MODEL
 
@@ -165,11 +163,19 @@ def test_a_pads_status_is_up_only_after_its_first_frames() -> None:
 def test_the_robot_gets_each_pads_events_under_its_name() -> None:
     calls = CallLog()
     with StubRobot(calls.add) as robot:
-        pads: dict[str, tuple[ActionRule, ...]] = {"head": (SAY,), "left_arm": ()}
-        link = RobotLink(RobotSettings(url=robot.url), open_session=robot.open_session, actions=pads)
-        sink = RobotSink(link)
+        say = ActionRule(do=(Action(say="{gesture}"),))
+        rules: dict[str, tuple[ActionRule, ...]] = {"head": (say,), "left_arm": ()}
+        settings = Settings(
+            robot=RobotSettings(url=robot.url),
+            sensors={
+                name: PadSettings(port=name, scene=SceneSettings(actions=actions))
+                for name, actions in rules.items()
+            },
+        )
+        sink = link_to_robot(settings, lambda _: None, robot.open_session)
+        assert sink is not None
         sink.start()
-        for pad in pads:
+        for pad in rules:
             sink.put(SensorEvent(state="up" if pad == "head" else "down", time=TIME, pad=pad))
             sink.put(msgspec.structs.replace(PREDICTION, pad=pad))
         for pad, state in (("head", "up"), ("left_arm", "down")):

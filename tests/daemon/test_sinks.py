@@ -26,8 +26,7 @@ from touchd.daemon.journal import Journal, JournalError, JournalSink
 from touchd.daemon.kept.touches import read_since
 from touchd.daemon.service import Service
 from touchd.daemon.sinks import EventFanout, LinesSink, QueuedSink, RobotSink
-from touchd.drivers.robot.link import RobotLink
-from touchd.drivers.robot.reactions import RobotMessage
+from touchd.drivers.robot.link import RobotLink, RobotMessage
 from touchd.drivers.robot.session import RobotSettings
 
 
@@ -127,7 +126,7 @@ def test_what_a_robot_does_comes_after_its_cause(pipe: tuple[int, int]) -> None:
         def __init__(self) -> None:
             pass
 
-        def publish(self, message: RobotMessage, is_told: bool = True) -> None:
+        def publish(self, message: RobotMessage) -> None:
             fanout.emit(done)
 
     lines = LinesSink("stdout", writer, encode)

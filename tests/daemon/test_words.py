@@ -1,7 +1,6 @@
 """The shipped words for gestures, and those of a deployment."""
 
-from touchd.daemon.words import SHIPPED, name_of, vocabulary
-from touchd.drivers.robot.reactions import Words
+from touchd.daemon.words import SHIPPED, Words, name_of, vocabulary
 
 
 def test_every_language_names_the_same_gestures() -> None:

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rigs.robots import DETAIL, GESTURE, SAY, STATUS, Robot, linked, message
+from rigs.robots import DETAIL, GESTURE, STATUS, Robot, answer, linked, message
 
 from touchd.drivers.fakes import fake_robot
+from touchd.drivers.robot.acting import animated_say, run_behavior, say, set_leds
 from touchd.drivers.robot.link import RobotLink
-from touchd.drivers.robot.reactions import Action, ActionRule, Leds
 from touchd.drivers.robot.session import QiSession, RobotError, RobotLimits, RobotRefused, RobotSettings
 
 
@@ -109,30 +109,24 @@ def test_a_stand_in_behaves_like_a_robots_memory(robot: Robot) -> None:
     assert robot.calls.raised("Pad/Float") == [float(np.float32(0.1))]
 
 
-def test_a_reaction_is_carried_out_in_the_order_written(robot: Robot) -> None:
-    rule = ActionRule(
-        do=(
-            Action(leds=Leds(color="#ff8000", fade_s=0.5)),
-            Action(animated_say="A {gesture}!"),
-            Action(behavior="animations/Stand/Gestures/Hey_1"),
-            Action(say="I am {confidence} percent sure"),
-        )
-    )
-    with linked(robot, actions=(rule,)) as (link, _):
-        link.publish(message("tickle", confidence=0.654))
+def test_acts_are_carried_out_in_order(robot: Robot) -> None:
+    hey = "animations/Stand/Gestures/Hey_1"
+    acts = [set_leds("FaceLeds", 0xFF8000, 0.5), animated_say("A tickle!"), run_behavior(hey), say("Done")]
+    with linked(robot, acts=True) as (link, _):
+        link.act(acts)
         robot.calls.wait_for(lambda call: call.service == "ALTextToSpeech")
         done = [(call.service, call.arguments) for call in robot.calls.all() if call.service != "ALMemory"]
         assert done == [
             ("ALLeds", ("FaceLeds", 0xFF8000, 0.5)),
             ("ALAnimatedSpeech", ("A tickle!",)),
-            ("ALBehaviorManager", ("animations/Stand/Gestures/Hey_1",)),
-            ("ALTextToSpeech", ("I am 65 percent sure",)),
+            ("ALBehaviorManager", (hey,)),
+            ("ALTextToSpeech", ("Done",)),
         ]
 
 
 def test_speech_that_takes_long_delays_no_event() -> None:
-    with Robot(say_s=60) as robot, linked(robot, actions=(SAY,)) as (link, _):
-        link.publish(message("stroke", 1))
+    with Robot(say_s=60) as robot, linked(robot, acts=True) as (link, _):
+        answer(link, "stroke", 1)
         robot.calls.wait_for(lambda call: call.method == "say")
         link.publish(message("pat", 2))
         robot.calls.wait_for_raise(GESTURE, "pat")
@@ -140,10 +134,9 @@ def test_speech_that_takes_long_delays_no_event() -> None:
 
 
 def test_unsupported_actions_are_skipped(caplog: pytest.LogCaptureFixture) -> None:
-    rule = ActionRule(do=(Action(behavior="nosuch"), Action(animated_say="no"), Action(say="{gesture}")))
-    with Robot(without=["ALAnimatedSpeech"]) as robot, linked(robot, actions=(rule,)) as (link, states):
-        for touch, gesture in enumerate(["stroke", "pat"]):
-            link.publish(message(gesture, touch))
+    with Robot(without=["ALAnimatedSpeech"]) as robot, linked(robot, acts=True) as (link, states):
+        for gesture in ("stroke", "pat"):
+            link.act([run_behavior("nosuch"), animated_say("no"), say(gesture)])
         robot.calls.wait_for(lambda call: call.arguments == ("pat",))
         states.wait_for("up")
     warnings = [record.getMessage() for record in caplog.records if record.levelname == "WARNING"]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from rigs.programs import ran
-from rigs.robots import IMPATIENT, SAY, Robot, link_threads, linked, needs_qi, reach
+from rigs.robots import IMPATIENT, Robot, link_threads, linked, needs_qi, reach
 from rigs.wait import AT_ONCE_S
 
 from touchd.drivers.robot.session import RobotLimits
@@ -17,7 +17,7 @@ from touchd.drivers.robot.session import RobotLimits
 
 @pytest.mark.parametrize("state", ["up", "killed", "hung", "hung-connect", "busy"])
 def test_stopping_ends_soon_and_leaves_no_thread(state: str) -> None:
-    with Robot(say_s=60) as robot, linked(robot, limits=IMPATIENT, actions=(SAY,)) as (link, states):
+    with Robot(say_s=60) as robot, linked(robot, limits=IMPATIENT, acts=True) as (link, states):
         reach(state, robot, link, states)
         started_s = time.monotonic()
         link.stop()

@@ -18,10 +18,10 @@ from rigs.robots import (
     GESTURE,
     IMPATIENT,
     LOGIN,
-    SAY,
     STATUS,
     Robot,
     States,
+    answer,
     hears,
     linked,
     login_in,
@@ -31,8 +31,8 @@ from rigs.sockets import free_port
 from rigs.wait import AT_ONCE_S, wait_for
 
 from touchd.drivers.fakes.stub_robot import StubRobot
+from touchd.drivers.robot.acting import run_behavior, say
 from touchd.drivers.robot.link import RobotLink
-from touchd.drivers.robot.reactions import Action, ActionRule
 from touchd.drivers.robot.session import Login, QiSession, RobotLimits, RobotLost, RobotSession, RobotSettings
 
 
@@ -161,18 +161,18 @@ def speaker(robot: Robot) -> Iterator[IO[str]]:
 
 
 def test_a_service_that_comes_back_is_used_again(caplog: pytest.LogCaptureFixture) -> None:
-    with Robot(without=["ALTextToSpeech"]) as robot, linked(robot, actions=(SAY,)) as (link, states):
+    with Robot(without=["ALTextToSpeech"]) as robot, linked(robot, acts=True) as (link, states):
         states.wait_for("up")
-        actions = link._reactions
+        actions = link._acts
         assert actions is not None
         with speaker(robot) as said:
-            link.publish(message("pat", touch=1))
+            link.act([say("pat")])
             assert said.readline() == "pat\n"
-        link.publish(message("rub", touch=2))
+        link.act([say("rub")])
         wait_for(lambda: actions.counts["sent"] + actions.counts["failed"] == 2)
         assert "the robot refused" in caplog.text
         with speaker(robot) as said:
-            link.publish(message("stroke", touch=3))
+            link.act([say("stroke")])
             assert said.readline() == "stroke\n"
         states.wait_for("up")
 
@@ -181,10 +181,9 @@ def test_an_action_that_takes_too_long_is_cut_and_reported(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     limits = RobotLimits(action_s=0.3)
-    rule = ActionRule(do=(Action(say="{gesture}"), Action(behavior="dances/one")))
-    with Robot(say_s=1.5) as robot, linked(robot, limits=limits, actions=(rule,)) as (link, states):
+    with Robot(say_s=1.5) as robot, linked(robot, limits=limits, acts=True) as (link, states):
         states.wait_for("up")
-        link.publish(message("pat"))
+        link.act([say("pat"), run_behavior("dances/one")])
         wait_for(lambda: "given up" in caplog.text)
         states.wait_for("up")
     assert "an action is given up, with 1 after it: ALTextToSpeech.say: no answer within 0.3" in caplog.text
@@ -203,10 +202,10 @@ def test_the_right_login_connects_and_never_shows_the_token(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.DEBUG)
-    with Robot(login=LOGIN) as robot, linked(robot, **login_in(tmp_path), actions=(SAY,)) as (link, states):
+    with Robot(login=LOGIN) as robot, linked(robot, **login_in(tmp_path), acts=True) as (link, states):
         assert robot.url.startswith("tcps://")
         states.wait_for("up")
-        hears(robot, link, "tickle")
+        answer(link, "tickle")
         robot.calls.wait_for(lambda call: call.method == "say")
         assert LOGIN.token not in repr([LOGIN, vars(link), states.told, caplog.text])
 
@@ -231,13 +230,13 @@ def test_tcp_and_tcps_mixed_up_gives_advice(encrypted: bool) -> None:
 
 def test_publishing_to_a_hung_robot_returns_at_once() -> None:
     limits = replace(IMPATIENT, capacity=5, stale_s=60)
-    with Robot() as robot, linked(robot, limits=limits, actions=(SAY,)) as (link, states):
+    with Robot() as robot, linked(robot, limits=limits, acts=True) as (link, states):
         states.wait_for("up")
         robot.hang()
         states.wait_for("up", "down")
         started_s = time.monotonic()
         for number in range(500):
-            link.publish(message(f"gesture {number}", number))
+            answer(link, f"gesture {number}", number)
         # A generous limit: a single call to the robot may take as long as this.
         assert time.monotonic() - started_s < AT_ONCE_S
         assert link.counts["dropped"] == 495

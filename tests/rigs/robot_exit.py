@@ -7,10 +7,9 @@ import tempfile
 import time
 from pathlib import Path
 
-from rigs.robots import SAY, Robot, States, login_in, reach
+from rigs.robots import Robot, States, login_in, reach
 from rigs.wait import AT_ONCE_S
 
-from touchd.drivers.frame import DEFAULT_PAD
 from touchd.drivers.robot.link import RobotLink
 from touchd.drivers.robot.session import Login, RobotSettings
 
@@ -25,7 +24,7 @@ def main(state: str) -> int:
         url = f"tcp://127.0.0.1:{mute.getsockname()[1]}" if state == "mute" else robot.url
         user = login_in(Path(folder)) if encrypted else {}
         states = States()
-        link = RobotLink(RobotSettings(url=url, **user), states, actions={DEFAULT_PAD: (SAY,)})
+        link = RobotLink(RobotSettings(url=url, **user), states, acts=True)
         if state == "refused":
             robot.kill()
         link.start()

@@ -16,9 +16,8 @@ from rigs.wait import WITHIN_S
 
 from touchd.drivers.fakes.loopback_robot import LoopbackRobot
 from touchd.drivers.fakes.stub_robot import StubRobot
-from touchd.drivers.frame import DEFAULT_PAD
-from touchd.drivers.robot.link import RobotLink
-from touchd.drivers.robot.reactions import Action, ActionRule, RobotMessage
+from touchd.drivers.robot.acting import say
+from touchd.drivers.robot.link import RobotLink, RobotMessage
 from touchd.drivers.robot.session import Login, RobotLimits, RobotSettings, qi_installed
 
 needs_qi = pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
@@ -78,7 +77,6 @@ class Robot(LoopbackRobot):
         self._process.send_signal(number)
 
 
-SAY = ActionRule(do=(Action(say="{gesture}"),))
 LOGIN = Login("nao", "s3cret-token")
 # Notices a hang quickly; by default it takes 1.3 s.
 IMPATIENT = RobotLimits(call_s=0.3, heartbeat_s=0.1)
@@ -88,6 +86,12 @@ GESTURE, DETAIL, STATUS = "TouchGesture/Gesture", "TouchGesture/Detail", "TouchG
 def message(gesture: str = "stroke", touch: int = 1, **other: Any) -> RobotMessage:
     values: dict[str, Any] = {"confidence": 0.81, "time_s": time.time(), "stage": "early", "sequence": touch}
     return RobotMessage(gesture=gesture, touch=touch, **(values | other))
+
+
+def answer(link: RobotLink, gesture: str = "stroke", touch: int = 1) -> None:
+    """Publish an answer, and have the robot say it."""
+    link.publish(message(gesture, touch))
+    link.act([say(gesture)])
 
 
 def hears(robot: Robot, link: RobotLink, gesture: str = "pat") -> None:
@@ -130,12 +134,12 @@ class States:
 def linked(robot: Robot | StubRobot, url: str = "", **settings: Any) -> Iterator[tuple[RobotLink, States]]:
     """A started link to a robot, and the states it reports; stopped at the end."""
     states = States()
-    limits, actions = settings.pop("limits", None), settings.pop("actions", ())
+    limits, acts = settings.pop("limits", None), settings.pop("acts", False)
     link = RobotLink(
         RobotSettings(url=url or robot.url, **settings),
         on_state=states,
         open_session=robot.open_session if isinstance(robot, StubRobot) else None,
-        actions={DEFAULT_PAD: actions},
+        acts=acts,
         limits=limits,
     )
     link.start()
@@ -154,7 +158,7 @@ def reach(state: str, robot: Robot, link: RobotLink, states: States) -> None:
     else:
         states.wait_for("up")
     if state == "busy":
-        link.publish(message())
+        answer(link)
         robot.calls.wait_for(lambda call: call.method == "say")
     elif state == "killed":
         robot.kill()

@@ -1,6 +1,6 @@
-"""The rules for the robot's reactions, as configured; `acting.py` chooses among them and carries them out.
+"""The rules for the robot's reactions, as configured; `reactions.py` applies them.
 
-Nothing here needs a robot. The rules in the configuration:
+In the configuration:
 
 actions:
   - gestures: [stroke, rub]            # left out: any gesture
@@ -18,20 +18,16 @@ actions:
 
 import re
 import string
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, TypeAlias
 
 import msgspec
 
-from touchd.drivers.frame import DEFAULT_PAD
+from touchd.daemon.events import UNCERTAIN, Stage
+from touchd.daemon.feel import Feel
+from touchd.daemon.words import Name
 
-# The daemon has the same names in its own type; drivers import nothing above them.
-Stage: TypeAlias = Literal["early", "revised", "final", "released", "ongoing", "uncertain"]
-UNCERTAIN = "uncertain"
-Measure: TypeAlias = Literal[
-    "duration_s", "peak", "mean", "area", "row", "column", "path", "down", "right", "rhythm_hz"
-]
+# Every touch has these; a direction or a length in mm it may not have.
+MEASURES = tuple(field.name for field in msgspec.structs.fields(Feel) if field.required)
 # Excludes NaN, which no measure is above or below.
 Finite: TypeAlias = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
 
@@ -48,36 +44,7 @@ COLORS = {
 PLACEHOLDERS = {"gesture", "name", "phrase", "confidence"}
 
 Speech = Annotated[str, msgspec.Meta(min_length=1, max_length=500)]
-Name = Annotated[str, msgspec.Meta(min_length=1, max_length=200)]
-Kind: TypeAlias = Literal["say", "animated_say", "behavior", "leds"]
 Seconds = Annotated[float, msgspec.Meta(ge=0, le=3600)]
-
-
-@dataclass(frozen=True, slots=True)
-class RobotMessage:
-    """One answer about a touch.
-
-    gesture: a label of the model, or "uncertain". confidence: 0 to 1. time_s: seconds since 1970.
-    stage: early, revised, final, released, ongoing or uncertain.
-    touch: number of the touch on its pad since the daemon started. sequence: number of the message.
-    pad: where it was. feel: what the touch was like so far, by the names in `touchd.daemon.feel`.
-    """
-
-    gesture: str
-    confidence: float
-    time_s: float
-    stage: str
-    touch: int
-    sequence: int
-    pad: str = DEFAULT_PAD
-    feel: Mapping[str, float | None] = field(default_factory=dict)
-
-
-class Words(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A gesture's name ("pat"), and its form in a sentence ("a pat")."""
-
-    name: Name
-    phrase: Name
 
 
 class Leds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -129,22 +96,24 @@ class ActionRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     gestures: the answers that this is for; empty means any gesture, but "uncertain" must be named.
     stages: the stages that this is for, whether the answer is told at that stage or was told before.
     Empty means any stage at which the answer is news: the first of its touch, or another than the last.
-    Either way, an answer sets a rule off once in a touch: with [final, released], once on the settled answer.
-    changed: only for an answer that replaces another one of the same touch. Such an answer sets off the rules
+    Either way, a rule fires once per answer and touch: with [final, released], once on the settled answer.
+    changed: only for an answer that replaces another one of the same touch. Such an answer triggers the rules
     with changed: true if any fits, and only otherwise those without.
     above, below: only for a touch whose measures are at least these, or less than these (docs/events.md).
-    refractory_s: how long the rule rests after it was set off, in seconds.
+    refractory_s: pause after the rule fired, in seconds.
     """
 
     do: Annotated[tuple[Action, ...], msgspec.Meta(min_length=1, max_length=16)]
     gestures: tuple[Name, ...] = ()
     stages: tuple[Stage, ...] = ()
     changed: bool = False
-    above: dict[Measure, Finite] = {}
-    below: dict[Measure, Finite] = {}
+    above: dict[str, Finite] = {}
+    below: dict[str, Finite] = {}
     refractory_s: Seconds = 0.0
 
     def __post_init__(self) -> None:
+        if unknown := [measure for measure in (*self.above, *self.below) if measure not in MEASURES]:
+            raise ValueError(f"{unknown[0]!r} is not one of {', '.join(MEASURES)}")
         is_told_only = set(self.stages) == {UNCERTAIN} and UNCERTAIN not in self.gestures
         is_meant_only = set(self.gestures) == {UNCERTAIN} and self.stages and UNCERTAIN not in self.stages
         if is_told_only or is_meant_only:

@@ -1,16 +1,18 @@
-"""Actions: which answers trigger them, and their configuration."""
+"""Which answers trigger which actions, and how they are configured."""
 
 from typing import Any
 
 import msgspec
 import pytest
 import yaml
-from rigs.robots import message
+from rigs.made_events import PREDICTION
 
-from touchd.daemon.words import Language, vocabulary
-from touchd.drivers.robot import reactions
-from touchd.drivers.robot.acting import MOST_TOUCHES, Reactions, spoken
-from touchd.drivers.robot.reactions import Action, ActionRule, Words
+from touchd.daemon import actions
+from touchd.daemon.actions import Action, ActionRule, Leds
+from touchd.daemon.reactions import MOST_TOUCHES, Choice, Reactions, spoken
+from touchd.daemon.words import Language, Words, vocabulary
+from touchd.drivers.frame import DEFAULT_PAD
+from touchd.drivers.robot.acting import Act
 from touchd.model.classifier import Classifier
 
 Rules = tuple[ActionRule, ...]
@@ -20,15 +22,14 @@ def rules(text: str) -> Rules:
     return msgspec.convert(yaml.safe_load(text), Rules)
 
 
-def done(chosen: Reactions, *args: Any, now_s: float = 0.0, **other: Any) -> list[str]:
-    """Return what the robot says to a message."""
-    is_told = other.pop("is_told", True)
-    reaction = chosen.choose(message(*args, **other), now_s, is_told=is_told)
-    return [str(action.say) for action in reaction.actions] if reaction else []
+def done(chosen: Choice, gesture: str, touch: int = 1, now_s: float = 0.0, **other: Any) -> list[str]:
+    """Return what the robot says to an answer."""
+    answer = msgspec.structs.replace(PREDICTION, gesture=gesture, touch=touch, **other)
+    return [str(action.say) for action in chosen.actions(answer, now_s)]
 
 
 def test_the_example_in_the_documentation_is_valid() -> None:
-    example = reactions.__doc__
+    example = actions.__doc__
     assert example is not None
     first, second = msgspec.convert(yaml.safe_load(example.partition("\n\n")[2])["actions"], Rules)
     assert first.do[0].leds is not None
@@ -84,7 +85,7 @@ def test_every_answer_of_the_model_has_words(language: Language) -> None:
 
 
 def test_a_rule_without_stages_fires_on_changes_only() -> None:
-    chosen = Reactions(rules("[{do: [{say: any}]}]"))
+    chosen = Choice(rules("[{do: [{say: any}]}]"))
     assert done(chosen, "stroke", 1, stage="early") == ["any"]
     assert done(chosen, "stroke", 1, stage="final") == []
     assert done(chosen, "pat", 1, stage="ongoing") == ["any"]
@@ -92,7 +93,7 @@ def test_a_rule_without_stages_fires_on_changes_only() -> None:
 
 
 def test_a_rule_with_stages_fires_once_an_answer() -> None:
-    chosen = Reactions(rules("[{do: [{say: any}], stages: [early, final, ongoing]}]"))
+    chosen = Choice(rules("[{do: [{say: any}], stages: [early, final, ongoing]}]"))
     stages = ["early", "revised", "final"]
     assert [done(chosen, "stroke", 1, stage=stage) for stage in stages] == [["any"], [], []]
     assert done(chosen, "pat", 1, stage="ongoing") == ["any"]
@@ -100,37 +101,37 @@ def test_a_rule_with_stages_fires_once_an_answer() -> None:
 
 @pytest.mark.parametrize("settled", ["final", "released"])
 def test_the_settled_answer_triggers_once_even_if_told_early(settled: str) -> None:
-    chosen = Reactions(rules("[{do: [{say: settled}], stages: [final, released]}]"))
+    chosen = Choice(rules("[{do: [{say: settled}], stages: [final, released]}]"))
     assert done(chosen, "stroke", 1, stage="early") == []
-    assert done(chosen, "stroke", 1, stage=settled, is_told=False) == ["settled"]
+    assert done(chosen, "stroke", 1, stage=settled, told=False) == ["settled"]
     assert done(chosen, "rub", 2, stage=settled) == ["settled"]
-    assert done(chosen, "notouch", 3, stage=settled, is_told=False) == []
+    assert done(chosen, "notouch", 3, stage=settled, told=False) == []
 
 
 def test_simultaneous_touches_are_kept_apart() -> None:
-    chosen = Reactions(rules("[{do: [{say: any}]}]"))
+    chosen = Choice(rules("[{do: [{say: any}]}]"))
     assert [done(chosen, "stroke", touch) for touch in (1, 2, 1, 2)] == [["any"], ["any"], [], []]
 
 
 def test_only_the_latest_unended_touches_are_remembered() -> None:
-    chosen = Reactions(rules("[{do: [{say: any}]}]"))
+    chosen = Choice(rules("[{do: [{say: any}]}]"))
     assert all(done(chosen, "stroke", touch) == ["any"] for touch in range(2 * MOST_TOUCHES))
     assert done(chosen, "stroke", 2 * MOST_TOUCHES - 1) == []
 
 
 def test_a_rule_with_gestures_applies_to_these_only() -> None:
-    chosen = Reactions(rules("[{do: [{say: soft}], gestures: [stroke, tickle]}]"))
+    chosen = Choice(rules("[{do: [{say: soft}], gestures: [stroke, tickle]}]"))
     gestures = ["stroke", "pat", "tickle"]
     assert [done(chosen, g, touch) for touch, g in enumerate(gestures)] == [["soft"], [], ["soft"]]
 
 
 def test_uncertain_triggers_only_a_rule_that_names_it() -> None:
-    chosen = Reactions(rules("[{do: [{say: any}]}, {do: [{say: hm}], gestures: [uncertain]}]"))
+    chosen = Choice(rules("[{do: [{say: any}]}, {do: [{say: hm}], gestures: [uncertain]}]"))
     assert done(chosen, "uncertain", 1, stage="uncertain") == ["hm"]
 
 
 def test_a_changed_answer_can_have_an_action_of_its_own() -> None:
-    chosen = Reactions(
+    chosen = Choice(
         rules(
             "[{do: [{say: a tickle}], gestures: [tickle]},"
             " {do: [{say: 'oh, a tickle'}], gestures: [tickle], changed: true},"
@@ -144,17 +145,47 @@ def test_a_changed_answer_can_have_an_action_of_its_own() -> None:
 
 
 def test_every_matching_rule_is_carried_out_in_order() -> None:
-    chosen = Reactions(
+    chosen = Choice(
         rules("[{do: [{say: one}, {say: two}]}, {do: [{say: never}], gestures: [rub]}, {do: [{say: three}]}]")
     )
     assert done(chosen, "pat", 1) == ["one", "two", "three"]
 
 
 def test_a_rule_rests_for_its_refractory_time() -> None:
-    chosen = Reactions(rules("[{do: [{say: slow}], refractory_s: 5}, {do: [{say: quick}]}]"))
+    chosen = Choice(rules("[{do: [{say: slow}], refractory_s: 5}, {do: [{say: quick}]}]"))
     times = [0.0, 4.9, 5.1]
     assert [done(chosen, "pat", touch, now_s=now) for touch, now in enumerate(times)] == [
         ["slow", "quick"],
         ["quick"],
         ["slow", "quick"],
+    ]
+
+
+def test_every_kind_of_action_reaches_the_robot_in_order() -> None:
+    rule = ActionRule(
+        do=(
+            Action(leds=Leds(color="#ff8000", fade_s=0.5)),
+            Action(animated_say="A {gesture}!"),
+            Action(behavior="animations/Stand/Gestures/Hey_1"),
+            Action(say="I am {confidence} percent sure"),
+        )
+    )
+    acts: list[Act] = []
+    begun: list[tuple[str, str]] = []
+    rules = {DEFAULT_PAD: (rule,)}
+    reactions = Reactions(rules, {}, acts.extend, lambda _, kind, what: begun.append((kind, what)))
+    reactions.on_answer(msgspec.structs.replace(PREDICTION, gesture="tickle", confidence=0.654))
+    assert [(act.service, act.arguments) for act in acts] == [
+        ("ALLeds", ("FaceLeds", 0xFF8000, 0.5)),
+        ("ALAnimatedSpeech", ("A tickle!",)),
+        ("ALBehaviorManager", ("animations/Stand/Gestures/Hey_1",)),
+        ("ALTextToSpeech", ("I am 65 percent sure",)),
+    ]
+    for act in acts:
+        act.on_begin()
+    assert begun == [
+        ("leds", "#ff8000"),
+        ("animated_say", "A tickle!"),
+        ("behavior", "animations/Stand/Gestures/Hey_1"),
+        ("say", "I am 65 percent sure"),
     ]
