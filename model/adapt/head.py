@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from touchd.model.adapt.backbone import CropFeatures
-from touchd.model.adapt.schedule import GRADIENT_LIMIT, learning_rate_at
+from touchd.model.adapt.optimise import GRADIENT_LIMIT, learning_rate_at
 
 
 class AdaptSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

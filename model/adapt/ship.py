@@ -16,9 +16,8 @@ from touchd.drivers.whole_file import whole_file
 from touchd.model.adapt.adapt import Adapted, Pretrained, adapt, prepare
 from touchd.model.adapt.folder import read_folder
 from touchd.model.adapt.head import AdaptSettings
-from touchd.model.adapt.origin import code_version, data_hash
-from touchd.model.adapt.output import OutputError, check_output, model_name
-from touchd.model.adapt.threads import one_torch_thread
+from touchd.model.adapt.optimise import one_torch_thread
+from touchd.model.adapt.output import OutputError, check_output, code_version, data_hash, model_name
 from touchd.model.classifier import METADATA_KEY, SHIPPED_MODEL, ModelMetadata
 from touchd.model.settings import LENGTHS, MAX_LENGTH
 

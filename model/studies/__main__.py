@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from touchd.drivers.errors import TouchdError
 
 STUDIES = {
-    "data": ("training.commands:data", "downloads the HAART recordings, or checks a folder"),
-    "train": ("training.commands:train", "trains the networks of a recipe"),
-    "export": ("training.commands:export", "calibrates them and writes them as ONNX files"),
-    "evaluate": ("training.commands:evaluate", "scores the shipped model beside the paper's figures"),
-    "stability": ("training.commands:stability", "checks a model's arithmetic on hard cases"),
+    "data": ("studies.making:data", "downloads the HAART recordings, or checks a folder"),
+    "train": ("studies.making:train", "trains the networks of a recipe"),
+    "export": ("studies.making:export", "calibrates them and writes them as ONNX files"),
+    "evaluate": ("studies.making:evaluate", "scores the shipped model beside the paper's figures"),
+    "stability": ("studies.making:stability", "checks a model's arithmetic on hard cases"),
     "seeds": ("studies.seeds", "scores the recipe with three seeds"),
     "accuracy": ("studies.accuracy", "accuracy.md: the stored scores as tables and figures"),
     "challenge": ("studies.challenge.table", "report.md: the challenge's systems, the paper's table 1"),

@@ -15,7 +15,7 @@ from touchd.model.adapt.adapt import Pretrained, logits
 from touchd.model.adapt.backbone import CropFeatures, WindowFeatures, crops, windows
 from touchd.model.adapt.head import AdaptSettings, fit
 from touchd.model.adapt.measure import Floats, mean_interval
-from touchd.model.adapt.threads import one_torch_thread
+from touchd.model.adapt.optimise import one_torch_thread
 from touchd.model.classifier import SHIPPED_MODEL
 from touchd.model.studies.folders import study_parser
 from touchd.model.studies.marked import fill, table

@@ -18,7 +18,7 @@ from touchd.drivers.recording import Recording
 from touchd.model.adapt.adapt import Pretrained, logits
 from touchd.model.adapt.backbone import CropFeatures, crops, windows
 from touchd.model.adapt.head import AdaptSettings, fit, rebuilt
-from touchd.model.adapt.threads import one_torch_thread
+from touchd.model.adapt.optimise import one_torch_thread
 from touchd.model.classifier import SHIPPED_MODEL
 from touchd.model.studies.folders import study_parser
 from touchd.model.studies.marked import fill, table

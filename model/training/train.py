@@ -19,8 +19,8 @@ from tqdm import tqdm
 
 from touchd.drivers.recording import NO_TOUCH, Recording
 from touchd.model.adapt.augment import Frames, as_another_pad, as_quiet_pad, begin_from_rest, crop, vary
-from touchd.model.adapt.origin import code_version, data_hash
-from touchd.model.adapt.schedule import GRADIENT_LIMIT, learning_rate_at
+from touchd.model.adapt.optimise import GRADIENT_LIMIT, learning_rate_at
+from touchd.model.adapt.output import code_version, data_hash
 from touchd.model.tgc import TGC
 from touchd.model.training import checkpoint
 from touchd.model.training.calibrate import IMPOSSIBLE

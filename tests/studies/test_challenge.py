@@ -18,7 +18,7 @@ if find_spec("sklearn") is None:
 import torch
 
 from touchd.drivers.recording import Recording, ideal_clock_ms
-from touchd.model.adapt.threads import one_torch_thread
+from touchd.model.adapt.optimise import one_torch_thread
 from touchd.model.studies.challenge import balli, features, gaus, hughes, ta, table
 from touchd.model.studies.challenge.table import (
     SYSTEMS,

@@ -205,7 +205,7 @@ def test_evaluating_needs_no_extra() -> None:
 import sys
 for name in ("torch", "onnx", "scipy", "sklearn", "matplotlib", "tqdm"):
     sys.modules[name] = None
-import touchd.model.training.commands
+import touchd.model.studies.making
 import touchd.model.studies.checks.scores
 """
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)

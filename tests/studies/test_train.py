@@ -17,8 +17,8 @@ import torch
 from torch import nn
 
 from touchd.drivers.recording import Recording, ideal_clock_ms
-from touchd.model.adapt.origin import code_version, data_hash
-from touchd.model.adapt.schedule import learning_rate_at
+from touchd.model.adapt.optimise import learning_rate_at
+from touchd.model.adapt.output import code_version, data_hash
 from touchd.model.classifier import SHIPPED_MODEL
 from touchd.model.settings import NetworkSettings
 from touchd.model.tgc import TGC
