@@ -4,6 +4,7 @@ from datetime import datetime, timezone
 from typing import Annotated, Literal, TypeAlias
 
 import msgspec
+from msgspec import UNSET, UnsetType
 
 from touchd.daemon.feel import Feel
 from touchd.drivers.frame import DEFAULT_PAD, PadState
@@ -13,6 +14,9 @@ ActionKind: TypeAlias = Literal["say", "animated_say", "behavior", "leds"]
 EndReason: TypeAlias = Literal["released", "settled", "longest", "gap", "sensor", "stopped"]
 # The largest integers that all readers of JSON keep exactly.
 Count: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
+
+# What the person who runs a trial says of it, by key; see `daemon.tags`. Without any, events lack the field.
+Tags: TypeAlias = dict[str, str] | UnsetType
 
 UNCERTAIN = "uncertain"
 MAX_REASON_BYTES = 400
@@ -37,6 +41,7 @@ class TouchBegan(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
     time: str
     sensor_ms: Count
     pad: str = DEFAULT_PAD
+    tags: Tags = UNSET
 
 
 class Prediction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="prediction"):
@@ -69,6 +74,7 @@ class Prediction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
     pad: str = DEFAULT_PAD
     age_ms: float = 0.0
     feel: Feel | None = None
+    tags: Tags = UNSET
 
 
 class LivePrediction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="live_prediction"):
@@ -103,6 +109,7 @@ class TouchEnded(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
     sensor_ms: Count | None = None
     pad: str = DEFAULT_PAD
     feel: Feel | None = None
+    tags: Tags = UNSET
 
 
 class SensorEvent(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="sensor"):
@@ -115,6 +122,7 @@ class SensorEvent(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", t
     time: str
     reason: str = ""
     pad: str = DEFAULT_PAD
+    tags: Tags = UNSET
 
 
 class RobotEvent(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="robot"):
@@ -123,6 +131,7 @@ class RobotEvent(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
     state: Literal["up", "down"]
     time: str
     reason: str = ""
+    tags: Tags = UNSET
 
 
 class RobotAction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="robot_action"):
@@ -136,9 +145,23 @@ class RobotAction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", t
     what: str
     time: str
     pad: str = DEFAULT_PAD
+    tags: Tags = UNSET
 
 
-Event: TypeAlias = TouchBegan | Prediction | TouchEnded | SensorEvent | RobotEvent | RobotAction
+class Label(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="label"):
+    """A person says what a touch was; of several labels of a touch the last holds.
+
+    touch: its number. gesture: a label of the pad's model.
+    """
+
+    touch: Count
+    gesture: str
+    time: str
+    pad: str = DEFAULT_PAD
+    tags: Tags = UNSET
+
+
+Event: TypeAlias = TouchBegan | Prediction | TouchEnded | SensorEvent | RobotEvent | RobotAction | Label
 
 
 def kind_of(event: Event) -> str:

@@ -39,6 +39,7 @@ from touchd.model.classifier import SHIPPED_MODEL, Classifier
 if typing.TYPE_CHECKING:
     from touchd.daemon.bridges.bridge import Bridge
     from touchd.daemon.kept.touch_store import TouchSink
+    from touchd.daemon.labels import Labeller
     from touchd.daemon.live.server import LiveServer
 
 BYTES_PER_MB = 1_000_000
@@ -178,6 +179,18 @@ def open_live_page(settings: Settings, models: Mapping[str, Classifier]) -> Live
 
     scenes = {name: Scene(pad, models[name]) for name, pad in settings.pads.items()}
     return LiveServer(listen(settings.live), settings.live, scenes)
+
+
+def make_labeller(settings: Settings, models: Mapping[str, Classifier], emit: Emit) -> Labeller:
+    """Return what takes labels of touches; raises RecordingError if kept touches cannot be read."""
+    from touchd.daemon.kept.touch_store import folder_of
+    from touchd.daemon.labels import Labeller
+
+    journal = settings.journal
+    folders = {}
+    if journal is not None and journal.keep_touches is not None:
+        folders = {name: folder_of(journal.file, name) for name in settings.pads}
+    return Labeller(emit, {name: model.labels for name, model in models.items()}, folders)
 
 
 def bridges_to_others(settings: Settings, models: Mapping[str, Classifier]) -> tuple[Bridge, ...]:

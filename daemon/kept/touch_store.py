@@ -3,7 +3,8 @@
 JOURNAL.touches/TIME-NUMBER-COUNT.csv.gz, in our own layout, where TIME and NUMBER are those of the touch's
 `touch_began` in the journal (with - for : in file names), and COUNT rises from file to file. A file holds up
 to a second of rest, the touch from its true first frame to its last contact, and the quiet by which its end
-was detected.
+was detected. A labelled touch is in TIME-NUMBER-COUNT.GESTURE.csv.gz; later touches without a label do not
+displace it.
 
 In the loop a frame costs two appends. A separate thread cuts, packs and writes, only after a touch, when
 the next answer is a second away or more.
@@ -15,26 +16,30 @@ import re
 from collections import defaultdict, deque
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
+from msgspec import UNSET
 
 from touchd.daemon.config import ConfigError, SensorSettings
-from touchd.daemon.events import Event, SensorEvent, TouchBegan, TouchEnded
+from touchd.daemon.events import Event, Label, SensorEvent, Tags, TouchBegan, TouchEnded
 from touchd.daemon.sinks import QueuedSink
 from touchd.drivers.errors import os_errors_as
 from touchd.drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, Frame
 from touchd.drivers.pad.pace import clock_ms, pace_of
 from touchd.drivers.pad.port import at_baud
 from touchd.drivers.recording import (
+    KEYS,
     NO_TOUCH,
     SUFFIX,
     UNLABELLED,
     Recording,
     RecordingError,
     prepare,
+    read_provenance,
     read_recordings,
     write_recordings,
 )
@@ -43,13 +48,22 @@ from touchd.drivers.whole_file import PARTIAL
 log = logging.getLogger(__name__)
 
 FOLDER_MODE = 0o750
-NAME = re.compile(r"(\d{4}-\d\d-\d\dT\d\d)-(\d\d)-(\d\d\.\d{3}Z)-(\d+)(?:-(\d+))?" + re.escape(SUFFIX))
+NAME = re.compile(
+    r"(\d{4}-\d\d-\d\dT\d\d)-(\d\d)-(\d\d\.\d{3}Z)-(\d+)(?:-(\d+))?(?:\.([\w-]+))?" + re.escape(SUFFIX)
+)
 LEAD_MS = 1000
 # Frames further apart than this are not contiguous.
 CUT_MS = 1000
 # A second of rest plus the longest time before a touch is detected, for pads of up to 500 Hz.
 RECENT_MS, RECENT_FRAMES = 3000, 1500
 LONGEST_FRAMES = round(60.0 * FRAME_RATE_HZ)
+# The line of provenance that says how many frames are before, in and after the touch.
+PIECES = "pieces"
+# Labels that wait for the end of their touch; one is usual.
+MOST_EARLY_LABELS = 8
+
+# Participant, substrate and cover.
+SetUp: TypeAlias = tuple[str, str, str]
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,10 +97,9 @@ class TouchPieces:
         frames = (*self.before, *self.touch, *self.after)
         return str(pace_of(frames)) if len(frames) > 1 else "unknown"
 
-    def recordings(self) -> list[Recording]:
-        """Return the pieces as recordings on one clock, the touch unlabelled."""
+    def recordings(self, who: SetUp) -> list[Recording]:
+        """Return the pieces as recordings on one clock, the touch unlabelled. who: touches what."""
         pieces = ((NO_TOUCH, self.before), (UNLABELLED, self.touch), (NO_TOUCH, self.after))
-        who = (UNLABELLED, UNLABELLED, UNLABELLED)
         clocks = np.split(
             clock_ms([frame for _, piece in pieces for frame in piece]),
             np.cumsum([len(self.before), len(self.touch)]),
@@ -141,12 +154,21 @@ def _is_from(ms: int, since_ms: int) -> bool:
 
 @dataclass(frozen=True, order=True)
 class KeptTouch:
-    """A touch in a store. count: rises with each touch. time, number: those of its `touch_began`."""
+    """A touch in a store. count: rises with each touch. time, number: those of its `touch_began`.
+
+    label: what a person said that it was, "" if nobody has.
+    """
 
     count: int
     time: str
     number: int
     path: Path
+    label: str = ""
+
+    @property
+    def unlabelled_name(self) -> str:
+        """The name of its file before it had a label, which stays the same whatever the label."""
+        return self.path.name.replace(f".{self.label}{SUFFIX}", SUFFIX) if self.label else self.path.name
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,6 +193,11 @@ class TouchStore:
         self._sensor = sensor
         self._failing = False
         self.lost = 0
+        # Files of this run's touches by number, which begins with 1 again in the next run; labels that came
+        # while their touch went on.
+        self._files: dict[int, Path] = {}
+        self._last = 0
+        self._early: dict[int, Label] = {}
         with os_errors_as(RecordingError, f"{folder}: cannot be made", "give another journal.path"):
             # Like the journal, it is not world-readable.
             folder.mkdir(FOLDER_MODE, exist_ok=True)
@@ -185,8 +212,10 @@ class TouchStore:
             self._count = (self._take_over() if self._count is None else self._count) + 1
             path = self._folder / file_name(touch.began.time, touch.began.touch, self._count)
             pieces = cut(touch)
-            write_recordings(path, pieces.recordings(), self._provenance(touch, pieces))
-            _delete(older.path for older in kept_touches(self._folder)[: -self._most])
+            recordings = pieces.recordings(set_up_of(touch.began.tags))
+            write_recordings(path, recordings, self._provenance(touch, pieces))
+            self._files[touch.began.touch] = path
+            self._delete_oldest()
         except (OSError, RecordingError) as error:
             self.lost += 1
             level = logging.DEBUG if self._failing else logging.WARNING
@@ -196,6 +225,36 @@ class TouchStore:
             if self._failing:
                 log.info("the frames of touches are kept again; those of %d were lost", self.lost)
             self._failing = False
+        self._last = touch.began.touch
+        for number in [number for number in self._early if number <= self._last]:
+            self.label(self._early.pop(number))
+
+    def label(self, label: Label) -> None:
+        """Write a label into the file of one of this run's touches; the label given last holds."""
+        number = label.touch
+        if number > self._last:
+            self._early[number] = label
+            if len(self._early) > MOST_EARLY_LABELS:
+                del self._early[next(iter(self._early))]
+            return
+        path = self._files.get(number)
+        try:
+            if path is None:
+                raise RecordingError("its frames are not kept")
+            self._files[number] = _labelled(path, label)
+            self._delete_oldest()
+        except (OSError, RecordingError) as error:
+            log.warning("the label of touch %d is in the journal alone: %s", number, error)
+
+    def _delete_oldest(self) -> None:
+        """Delete the oldest touches beyond the bound, which holds for those with a label and those without.
+
+        One bound for both would let touches that nobody cared about displace a person's work.
+        """
+        kept = kept_touches(self._folder)
+        for own in ([each for each in kept if each.label], [each for each in kept if not each.label]):
+            _delete(older.path for older in own[: -self._most])
+        self._files = {number: path for number, path in self._files.items() if path.exists()}
 
     def _take_over(self) -> int:
         """Remove partial files of a killed program, and return the last count that was written here."""
@@ -212,7 +271,36 @@ class TouchStore:
             "sensor": self._sensor,
             "rate": pieces.rate,
             "part": "the whole touch" if pieces.is_whole else "the beginning of a longer touch",
+            PIECES: f"{len(pieces.before)} {len(pieces.touch)} {len(pieces.after)}",
         }
+
+
+def _labelled(path: Path, label: Label) -> Path:
+    """Replace a touch's file by one with a label; returns its path. Raises OSError and RecordingError."""
+    kept = kept_touch(path)
+    if kept is None or kept.label == label.gesture:
+        return path
+    frames = read_frames(kept)
+    touch = replace(frames.touch, gesture=label.gesture)
+    parts = [part for part in (frames.before, touch, frames.after) if part is not None]
+    if label.gesture == NO_TOUCH:
+        # A false touch and the rest around it are the same gesture, so one recording.
+        counts = np.concatenate([part.counts for part in parts])
+        parts = [replace(touch, counts=counts, sensor_ms=np.concatenate([part.sensor_ms for part in parts]))]
+    labelled = path.with_name(f"{kept.unlabelled_name.removesuffix(SUFFIX)}.{label.gesture}{SUFFIX}")
+    provenance = read_provenance(path) | {"labelled": label.time}
+    # An undone label may have left one.
+    labelled.unlink(missing_ok=True)
+    write_recordings(labelled, parts, provenance)
+    path.unlink()
+    return labelled
+
+
+def set_up_of(tags: Tags) -> SetUp:
+    """Return participant, substrate and cover, as far as tags of these names say."""
+    said = {} if tags is UNSET else tags
+    participant, substrate, cover = (said.get(key, UNLABELLED) for key in KEYS[:3])
+    return participant, substrate, cover
 
 
 def open_stores(journal: Path, most: int, pads: Mapping[str, SensorSettings]) -> dict[str, TouchStore]:
@@ -265,27 +353,55 @@ def kept_touches(folder: Path) -> list[KeptTouch]:
                 names = [entry.name for entry in entries if entry.is_file(follow_symlinks=False)]
         except FileNotFoundError:
             return []
-    for name in names:
-        if parts := NAME.fullmatch(name):
-            time = ":".join(parts.group(1, 2, 3))
-            kept.append(KeptTouch(int(parts[5] or 0), time, int(parts[4]), folder / name))
-    return sorted(kept)
+    kept = [touch for name in names if (touch := kept_touch(folder / name)) is not None]
+    # A power cut during labelling leaves the file without the label, too.
+    labelled = {touch.unlabelled_name for touch in kept if touch.label}
+    return sorted(touch for touch in kept if touch.label or touch.path.name not in labelled)
+
+
+def kept_touch(path: Path) -> KeptTouch | None:
+    """Return the touch that a file of this name holds; None if it is not a name of the store's."""
+    if parts := NAME.fullmatch(path.name):
+        time = ":".join(parts.group(1, 2, 3))
+        return KeptTouch(int(parts[5] or 0), time, int(parts[4]), path, parts[6] or "")
+    return None
 
 
 def read_frames(kept: KeptTouch) -> KeptFrames:
     """Read a kept touch; raises RecordingError, also if it has just been deleted."""
     parts = read_recordings(kept.path)
-    place = next((i for i, part in enumerate(parts) if part.gesture == UNLABELLED), None)
+    wanted = kept.label or UNLABELLED
+    place = next((i for i, part in enumerate(parts) if part.gesture == wanted), None)
     if place is None:
         raise RecordingError(f"{kept.path}: holds no touch as touchd keeps them")
+    if wanted == NO_TOUCH:
+        return _split(parts[place], read_provenance(kept.path).get(PIECES, ""))
     before, after = parts[:place], parts[place + 1 :]
     return KeptFrames(before[-1] if before else None, parts[place], after[0] if after else None)
 
 
-class TouchSink(QueuedSink[EndedTouch]):
+def _split(whole: Recording, pieces: str) -> KeptFrames:
+    """Split a touch labelled notouch, which its file holds as one recording, into its pieces again."""
+    lengths = [int(length) for length in pieces.split() if length.isdecimal()]
+    if len(lengths) != 3 or sum(lengths) != len(whole.counts) or not lengths[1]:
+        return KeptFrames(None, whole, None)
+    first, after = lengths[0], lengths[0] + lengths[1]
+
+    def piece(start: int, stop: int) -> Recording:
+        return replace(whole, counts=whole.counts[start:stop], sensor_ms=whole.sensor_ms[start:stop])
+
+    return KeptFrames(
+        piece(0, first) if first else None,
+        piece(first, after),
+        piece(after, after + lengths[2]) if lengths[2] else None,
+    )
+
+
+class TouchSink(QueuedSink[EndedTouch | Label]):
     """A sink that keeps the frames of touches on pads that have a store; it ignores other pads.
 
-    Frames and the events that they cause must come from one thread, a frame before its events.
+    Frames and the events that they cause must come from one thread, a frame before its events. Labels may
+    come from any thread, also before their touch has ended.
     """
 
     capacity = 8
@@ -300,7 +416,7 @@ class TouchSink(QueuedSink[EndedTouch]):
             self._pads[pad].take(frame)
 
     def put(self, item: Event | EndedTouch) -> None:
-        """Note that a touch began, or queue a touch that ended for writing; returns at once."""
+        """Note that a touch began, or queue an ended touch or a label for writing; returns at once."""
         match item:
             case TouchBegan() if item.pad in self._pads:
                 self._pads[item.pad].begin(item)
@@ -308,12 +424,17 @@ class TouchSink(QueuedSink[EndedTouch]):
                 touch = self._pads[item.pad].end(item, end_ms)
                 if touch is not None:
                     super().put(touch)
+            case Label() if item.pad in self._stores:
+                super().put(item)
             case SensorEvent(state="down"):
                 # The next frames are another pad's, or its clock restarted.
                 self._pads.pop(item.pad, None)
 
-    def write(self, item: EndedTouch) -> None:
-        self._stores[item.began.pad].add(item)
+    def write(self, item: EndedTouch | Label) -> None:
+        if isinstance(item, Label):
+            self._stores[item.pad].label(item)
+        else:
+            self._stores[item.began.pad].add(item)
 
 
 class _PadFrames:

@@ -66,9 +66,9 @@ class LabelFolder:
 
         The recording spans the first to the last contact; with the label notouch, also the rest around it.
         """
-        if already := self.labelled().get(kept.path.name):
+        if already := self.labelled().get(kept.unlabelled_name):
             raise RecordingError(f"{already}: exists; delete it to label touch {kept.number} again")
-        path = self.path / f"{'_'.join(setting)}_{gesture}_{kept.path.name}"
+        path = self.path / f"{'_'.join(setting)}_{gesture}_{kept.unlabelled_name}"
         frames = read_frames(kept)
         wanted = (frames.before, frames.touch, frames.after) if gesture == NO_TOUCH else (frames.touch,)
         parts = [part for part in wanted if part is not None]
@@ -80,7 +80,7 @@ class LabelFolder:
 
     def mark_right(self, kept: KeptTouch) -> None:
         """Mark the answer to a touch as correct."""
-        mark = self.path / RIGHT / kept.path.name
+        mark = self.path / RIGHT / kept.unlabelled_name
         with os_errors_as(RecordingError, f"{mark}: cannot be written"):
             mark.parent.mkdir(exist_ok=True)
             mark.touch()
@@ -88,8 +88,8 @@ class LabelFolder:
     def undo(self, kept: KeptTouch) -> None:
         """Delete a touch's recording or its mark."""
         with os_errors_as(RecordingError, f"{self.path}: cannot be changed"):
-            (self.path / RIGHT / kept.path.name).unlink(missing_ok=True)
-            if path := self.labelled().get(kept.path.name):
+            (self.path / RIGHT / kept.unlabelled_name).unlink(missing_ok=True)
+            if path := self.labelled().get(kept.unlabelled_name):
                 path.unlink(missing_ok=True)
 
     def _provenance(self, kept: KeptTouch) -> dict[str, str]:
@@ -136,7 +136,7 @@ def label(console: Console, options: argparse.Namespace) -> None:
     offered = [
         Offered(touch, reported.get((touch.time, touch.number)))
         for touch in kept
-        if touch.path.name not in looked_at
+        if not touch.label and touch.path.name not in looked_at
     ]
     frameless = reported.keys() - {(touch.time, touch.number) for touch in kept}
     _list(console, offered, len(kept), sum(reported[key].ended is not None for key in frameless))
@@ -159,7 +159,7 @@ def _label_named(
     setting = Setting(options.participant, options.substrate or "none", options.cover or "none")
     labelled = folder.labelled()
     for touch, gesture in [(_find(kept, name), gesture) for name, gesture in options.label]:
-        already = labelled.get(touch.path.name)
+        already = labelled.get(touch.unlabelled_name)
         if already is not None and already.name.split("_")[3] == gesture:
             console.print(f"{already.name} exists", soft_wrap=True)
         else:

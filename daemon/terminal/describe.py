@@ -6,6 +6,7 @@ from touchd.daemon.events import (
     UNCERTAIN,
     EndReason,
     Event,
+    Label,
     Prediction,
     RobotAction,
     RobotEvent,
@@ -45,5 +46,7 @@ def describe(event: Event, words: Vocabulary) -> str:
             return f"{what} {event.state}{f' ({event.reason})' if event.reason else ''}"
         case RobotAction(action="say" | "animated_say"):
             return f"robot says “{event.what}”"
+        case Label():
+            return f"touch {event.touch} was: {name_of(words, event.gesture)}"
         case RobotAction():
             return f"robot does {event.what} ({event.action})"

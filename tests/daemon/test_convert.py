@@ -62,6 +62,12 @@ def test_a_journal_as_csv_has_a_row_an_event(journal: Path) -> None:
     )
 
 
+def test_tags_are_columns_of_a_csv(journal: Path) -> None:
+    tagged = msgspec.structs.replace(EVENTS[0], tags={"participant": "P07"})
+    journal.write_bytes(encode(EVENTS[0]) + b"\n" + encode(tagged) + b"\n")
+    assert [row["tags_participant"] for row in rows(journal)] == ["", "P07"]
+
+
 def test_a_converted_file_is_closed_to_other_users(journal: Path, tmp_path: Path) -> None:
     for source in (journal, DEMO):
         out = converted(source, tmp_path / f"{source.name}.csv")
@@ -97,7 +103,7 @@ def test_a_journal_as_mcap_keeps_every_event_field_and_time(journal: Path, tmp_p
     assert [decode(message.data) for *_, message in written] == EVENTS
     assert written[0][2].log_time == round(epoch_s(EVENTS[0].time) * 1e9)
     for schema, _, message in written:
-        assert set(json.loads(schema.data)["properties"]) == set(json.loads(message.data))
+        assert set(json.loads(schema.data)["properties"]) == {*json.loads(message.data), "tags"}
 
 
 def test_a_recording_as_mcap_is_pictures_for_foxglove(tmp_path: Path) -> None:

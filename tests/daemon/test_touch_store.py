@@ -8,6 +8,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from rigs.ended_touch import ended_touch
@@ -18,7 +19,7 @@ from rigs.small_disk import log_on_small_disk, needs_small_disk
 from rigs.wait import WITHIN_S
 
 from touchd.daemon.config import ConfigError, JournalSettings, SensorSettings, Settings
-from touchd.daemon.events import Event, PadState, SensorEvent, TouchBegan, TouchEnded, timestamp
+from touchd.daemon.events import Event, Label, PadState, SensorEvent, TouchBegan, TouchEnded, timestamp
 from touchd.daemon.kept.touch_store import (
     LONGEST_FRAMES,
     EndedTouch,
@@ -219,6 +220,81 @@ def test_only_the_last_touches_are_kept(tmp_path: Path) -> None:
         store.add(ended_touch(number, rest_frames=0))
         assert len(os.listdir(tmp_path)) <= 5
     assert [kept.number for kept in kept_touches(tmp_path)] == [100, 101, 102, 103, 104]
+
+
+def said(number: int, gesture: str) -> Label:
+    return Label(touch=number, gesture=gesture, time=timestamp(0.0))
+
+
+@pytest.mark.parametrize("gesture", ["stroke", NO_TOUCH])
+def test_a_label_stands_in_the_touchs_file(store: TouchStore, tmp_path: Path, gesture: str) -> None:
+    store.add(ended_touch(1))
+    (before,) = kept_touches(tmp_path / "touches")
+    frames = read_frames(before)
+    store.label(said(1, "pat"))
+    store.label(said(1, gesture))
+    (kept,) = kept_touches(tmp_path / "touches")
+    assert kept.label == gesture
+    assert kept.path.name == before.path.name.replace(".csv.gz", f".{gesture}.csv.gz")
+    assert {part.gesture for part in read_recordings(kept.path)} == {gesture, NO_TOUCH}
+    for part, old in zip(
+        (read_frames(kept).before, read_frames(kept).touch, read_frames(kept).after),
+        (frames.before, frames.touch, frames.after),
+        strict=True,
+    ):
+        assert part is not None
+        assert old is not None
+        np.testing.assert_array_equal(part.counts, old.counts)
+        np.testing.assert_array_equal(part.sensor_ms, old.sensor_ms)
+    assert os.listdir(tmp_path / "touches") == [kept.path.name]
+
+
+def test_a_label_given_during_the_touch_is_kept(bench: StoreBench) -> None:
+    bench.feel(palm(0.5))
+    bench.sink.put(said(1, "pat"))
+    bench.feel(palm(0.5), nothing(1.5), palm(0.5), nothing(1.5))
+    assert [kept.label for kept in bench.end()] == ["pat", ""]
+
+
+def test_later_touches_do_not_displace_labelled_ones(tmp_path: Path) -> None:
+    store = TouchStore(tmp_path, 5, "")
+    for number in range(1, 30):
+        store.add(ended_touch(number, rest_frames=0))
+        if number <= 6:
+            store.label(said(number, "pat"))
+    kept = kept_touches(tmp_path)
+    assert [touch.number for touch in kept if touch.label] == [2, 3, 4, 5, 6]
+    assert [touch.number for touch in kept if not touch.label] == [25, 26, 27, 28, 29]
+
+
+def test_a_label_without_frames_is_said_once(
+    store: TouchStore, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    store.label(said(3, "pat"))
+    store.add(ended_touch(4))
+    store.add(ended_touch(5))
+    assert [record.getMessage() for record in caplog.records] == [
+        "the label of touch 3 is in the journal alone: its frames are not kept"
+    ]
+    assert [kept.label for kept in kept_touches(tmp_path / "touches")] == ["", ""]
+
+
+def test_a_power_cut_while_labelling_shows_the_touch_once(store: TouchStore, tmp_path: Path) -> None:
+    store.add(ended_touch(1))
+    (kept,) = kept_touches(tmp_path / "touches")
+    unlabelled = kept.path.read_bytes()
+    store.label(said(1, "pat"))
+    kept.path.write_bytes(unlabelled)
+    assert [touch.label for touch in kept_touches(tmp_path / "touches")] == ["pat"]
+
+
+def test_tags_say_who_touched_what(store: TouchStore, tmp_path: Path) -> None:
+    touch = ended_touch(1)
+    began = msgspec.structs.replace(touch.began, tags={"participant": "P07", "cover": "fur", "trial": "3"})
+    store.add(replace(touch, began=began))
+    (kept,) = kept_touches(tmp_path / "touches")
+    recording = read_frames(kept).touch
+    assert (recording.participant, recording.substrate, recording.cover) == ("P07", UNLABELLED, "fur")
 
 
 def test_a_deleted_folder_is_made_again(store: TouchStore, tmp_path: Path) -> None:
