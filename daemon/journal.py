@@ -10,6 +10,7 @@ from pathlib import Path
 from touchd.daemon.events import Event, encode
 from touchd.daemon.sinks import QueuedSink
 from touchd.drivers.errors import TouchdError, os_errors_as
+from touchd.drivers.faults import FaultLog
 
 log = logging.getLogger(__name__)
 
@@ -33,7 +34,7 @@ class Journal:
     def __init__(self, path: Path, *, max_bytes: int, keep: int) -> None:
         self._max_bytes = max_bytes
         self._keep = keep
-        self._failing = False
+        self._faults = FaultLog(log)
         self.lost = 0
         advice = "give another journal.path, or null"
         with os_errors_as(JournalError, f"journal {path}: cannot be written", advice):
@@ -46,7 +47,7 @@ class Journal:
         try:
             if not self._is_there():
                 self._begin_file()
-                log.warning("journal %s: was taken away; a new file is begun", self._path)
+                log.warning("journal %s: was removed; created a new file", self._path)
             size = os.fstat(self._fd).st_size
             if size and size + len(line) + 1 > self._max_bytes:
                 self._rotate()
@@ -57,9 +58,7 @@ class Journal:
         except OSError as error:
             self._lose(f"journal {self._path}: {error.strerror}")
         else:
-            if self._failing:
-                log.info("journal %s: works again; %d events were lost", self._path, self.lost)
-            self._failing = False
+            self._faults.end("lost", f"journal {self._path}: works again; {self.lost} events were lost")
 
     def _is_there(self) -> bool:
         """Whether the path still leads to the open file; raises OSError when that cannot be found out."""
@@ -70,9 +69,7 @@ class Journal:
 
     def _lose(self, why: str) -> None:
         self.lost += 1
-        level = logging.DEBUG if self._failing else logging.WARNING
-        log.log(level, "%s; events are not kept until that is mended", why)
-        self._failing = True
+        self._faults.begin("lost", f"{why}; events cannot be saved", cause=why)
 
     def close(self) -> None:
         """Close the file; further lines are lost."""

@@ -6,7 +6,6 @@ import logging
 import os
 import select
 import threading
-import time
 import typing
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
@@ -20,6 +19,7 @@ from touchd.daemon.events import (
     TouchBegan,
     epoch_s,
 )
+from touchd.drivers.faults import FaultLog
 from touchd.drivers.queue import DroppingQueue
 from touchd.drivers.robot.link import RobotLink, RobotMessage
 
@@ -28,8 +28,6 @@ log = logging.getLogger(__name__)
 Item = TypeVar("Item")
 
 WRITABLE_WAIT_S = 0.1
-# Minimum interval between two warnings about lost events.
-WARN_AGAIN_S = 60.0
 DISK_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
@@ -74,14 +72,17 @@ class QueuedSink(ABC, Generic[Item]):
     """A sink with a queue, and a thread that passes its items (mostly events) on one by one.
 
     A full queue drops its oldest item, and states only if it holds nothing else; the log says how many.
+    log: what losses are logged to.
     """
 
     capacity = 1000
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, log: logging.Logger = log) -> None:
         self.name = name
+        self._log = log
+        self._faults = FaultLog(log, f"{name}: ")
         self._items: DroppingQueue[Item | None] = DroppingQueue(self.capacity, _may_drop)
-        self._warned_dropped = 0
+        self._dropped_before = 0
         self._draining = False
         self._abandoned = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"touchd-{name}", daemon=True)
@@ -107,30 +108,31 @@ class QueuedSink(ABC, Generic[Item]):
         self._abandoned.set()
         self._thread.join(timeout_s / 2)
         if is_cut_short and (left := sum(item is not None for item in self._items.take_all())):
-            log.warning("%s: %d events or more are lost: not passed on before the end", self.name, left)
+            lost = "%s: %d events or more are lost: not passed on before the end"
+            self._log.warning(lost, self.name, left)
 
     @abstractmethod
     def write(self, item: Item) -> None:
         """Pass one item on; may block, but not for long once `_abandoned` is set."""
 
     def _run(self) -> None:
-        warn_again_s = 0.0
         while not self._abandoned.is_set() and (item := self._items.get()) is not None:
             try:
                 self.write(item)
             except Exception:
-                log.exception("%s: an event could not be passed on", self.name)
-            if time.monotonic() >= warn_again_s and self._warn_dropped():
-                warn_again_s = time.monotonic() + WARN_AGAIN_S
-        self._warn_dropped()
+                self._log.exception("%s: an event could not be passed on", self.name)
+            self._note_dropped()
+        if self.dropped:
+            self._log.warning("%s: %d events or frames were lost in all", self.name, self.dropped)
 
-    def _warn_dropped(self) -> bool:
-        """Log how many items were dropped since the last such line; return whether any were."""
-        newly, self._warned_dropped = self.dropped - self._warned_dropped, self.dropped
-        if newly:
-            why = "it was away, too slow, or its disk is full"
-            log.warning("%s: %d events or frames are lost: %s", self.name, newly, why)
-        return newly > 0
+    def _note_dropped(self) -> None:
+        """Log that items are being dropped, or no longer."""
+        if self.dropped == self._dropped_before:
+            self._faults.end("dropped", f"nothing is lost any more; {self.dropped} events or frames were")
+        else:
+            why = "it is away, too slow, or its disk is full"
+            self._faults.begin("dropped", f"events or frames are being lost: {why}")
+        self._dropped_before = self.dropped
 
 
 def _may_drop(item: object) -> bool:

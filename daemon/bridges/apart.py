@@ -14,7 +14,6 @@ import select
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -37,8 +36,8 @@ ENVIRONMENT = {"MALLOC_ARENA_MAX": "2", "OPENBLAS_NUM_THREADS": "1", "PYTHONSAFE
 READY = "ready"
 OUT_OF_MEMORY = 3
 OPEN_S = 2.0
-# Limit of the libraries' own log lines; DDS logs each packet that it cannot read.
-MOST_LINES, LINES_AGAIN_S = 20, 60.0
+# Of what the process logs at once: DDS logs each packet that it cannot read.
+MOST_LINES = 40
 LEVELS = {"INFO": logging.INFO, "WARNING": logging.WARNING, "ERROR": logging.ERROR}
 SECTIONS = {"lsl": LslSettings, "ros2": Ros2Settings}
 
@@ -116,25 +115,21 @@ class ApartBridge(ConnectedBridge):
     def _listen(self, process: subprocess.Popen[bytes]) -> str:
         """Log what the process logs, until it ends; returns the last line."""
         assert process.stderr is not None
-        rest, last, left, again_s = b"", "", 0, 0.0
+        rest, last = b"", ""
         # Read large pieces: a library may log faster than lines can be processed, and must not block on that.
         while data := os.read(process.stderr.fileno(), 65536):
-            *lines, rest = (rest + data).split(b"\n")[-2 * MOST_LINES :]
+            *lines, rest = (rest + data).split(b"\n")[-MOST_LINES:]
             rest = rest[:1000]
             for line in lines:
                 last = line.decode(errors="replace")
                 if last == READY:
                     self.connected()
                     continue
-                if time.monotonic() >= again_s:
-                    left, again_s = MOST_LINES, time.monotonic() + LINES_AGAIN_S
-                if left > 0:
-                    left -= 1
-                    level, _, text = last.partition(" ")
-                    if level in LEVELS:
-                        self._log.log(LEVELS[level], "%s", text)
-                    else:
-                        self._log.warning("%s: %s", self.name, last)
+                level, _, text = last.partition(" ")
+                if level in LEVELS:
+                    self._log.log(LEVELS[level], "%s", text)
+                else:
+                    self._log.warning("%s: %s", self.name, last)
         return last
 
 

@@ -10,7 +10,7 @@ from typing import TypeAlias
 from touchd.daemon.events import Event, kind_of
 from touchd.daemon.sinks import QueuedSink
 from touchd.drivers.errors import TouchdError
-from touchd.drivers.faults import Backoff, FaultLog
+from touchd.drivers.faults import Backoff
 from touchd.drivers.frame import Frame
 
 # An event, or a frame and its pad.
@@ -26,8 +26,6 @@ BACKOFF_FIRST_S, BACKOFF_CAP_S = 0.1, 2.0
 STEADY_S = 5.0
 # An event is dropped once this many connections have ended while it was being sent.
 TRIES = 3
-# Minimum interval between two log lines about refused messages.
-REFUSED_AGAIN_S = 60.0
 GOODBYE_S = 1.0
 
 
@@ -51,14 +49,10 @@ class Bridge(QueuedSink[Item]):
         self.opened = threading.Event()
         self._next_frame_s = dict.fromkeys(pads, 0.0)
         self._peer_is_there = threading.Event()
-        self._log = logging.getLogger(f"touchd.daemon.bridges.{name}")
-        self._faults = FaultLog(self._log, f"{name}: ")
         self._was_reported = False
         self._there_since_s = 0.0
         self._backoff = Backoff(BACKOFF_FIRST_S, BACKOFF_CAP_S)
-        self._refused_unsaid = 0
-        self._say_refused_s = 0.0
-        super().__init__(name)
+        super().__init__(name, logging.getLogger(f"touchd.daemon.bridges.{name}"))
 
     def put(self, item: Item) -> None:
         """Queue an event of these pads or of the robot; never blocks."""
@@ -96,8 +90,8 @@ class Bridge(QueuedSink[Item]):
             self.close()
         except Exception:
             self._log.exception("%s has failed; the daemon goes on without it", self.name)
-        if self._refused_unsaid:
-            self._log.warning("%s: %d more were refused until the end", self.name, self._refused_unsaid)
+        if self.refused > 1:
+            self._log.warning("%s: %d messages were refused in all", self.name, self.refused)
 
     def _note_there(self, where: str) -> None:
         """Note that the peer is connected."""
@@ -121,14 +115,9 @@ class Bridge(QueuedSink[Item]):
             self._faults.begin(kind, f"{where} is away ({reason}); trying until it is there")
 
     def _note_refused(self, why: str) -> None:
-        """Count a message that the peer refused; log the first at once, then at most one line a minute."""
+        """Count a message that the peer refused, and log why."""
         self.refused += 1
-        self._refused_unsaid += 1
-        if time.monotonic() >= self._say_refused_s:
-            self._say_refused_s = time.monotonic() + REFUSED_AGAIN_S
-            count, self._refused_unsaid = self._refused_unsaid, 0
-            more = f"; {count} in the last minutes" if count > 1 else ""
-            self._log.warning("%s: the peer refused something (%s)%s", self.name, why, more)
+        self._faults.begin("refused", f"the peer refused something ({why})", cause=why)
 
 
 class ConnectedBridge(Bridge):

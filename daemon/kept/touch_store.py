@@ -28,6 +28,7 @@ from touchd.daemon.config import ConfigError, SensorSettings
 from touchd.daemon.events import Event, Label, SensorEvent, Tags, TouchBegan, TouchEnded
 from touchd.daemon.sinks import QueuedSink
 from touchd.drivers.errors import os_errors_as
+from touchd.drivers.faults import FaultLog
 from touchd.drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, Frame
 from touchd.drivers.pad.pace import clock_ms, pace_of
 from touchd.drivers.pad.port import at_baud
@@ -191,7 +192,7 @@ class TouchStore:
         self._folder = folder
         self._most = most
         self._sensor = sensor
-        self._failing = False
+        self._faults = FaultLog(log)
         self.lost = 0
         # Files of this run's touches by number, which begins with 1 again in the next run; labels that came
         # while their touch went on.
@@ -218,13 +219,9 @@ class TouchStore:
             self._delete_oldest()
         except (OSError, RecordingError) as error:
             self.lost += 1
-            level = logging.DEBUG if self._failing else logging.WARNING
-            log.log(level, "the frames of touches are not kept until that is mended: %s", error)
-            self._failing = True
+            self._faults.begin("lost", f"the frames of touches cannot be saved: {error}", cause=str(error))
         else:
-            if self._failing:
-                log.info("the frames of touches are kept again; those of %d were lost", self.lost)
-            self._failing = False
+            self._faults.end("lost", f"the frames of touches are saved again; those of {self.lost} were lost")
         self._last = touch.began.touch
         for number in [number for number in self._early if number <= self._last]:
             self.label(self._early.pop(number))

@@ -6,11 +6,12 @@ import socket
 import time
 from typing import Any
 
-from touchd.drivers.pad.port import READ_BYTES
+from touchd.drivers.faults import FaultLog
 
 log = logging.getLogger(__name__)
 
 CONNECT_S = 3.0
+MAX_BYTES = 65536
 # Over UDP, another board is read once the current one has sent no frame for GONE_S, or for TURN_S if it has
 # not sent any frame yet.
 GONE_S, TURN_S = 2.0, 0.5
@@ -38,7 +39,7 @@ class NetworkPort:
         self._sender: Any = None
         self._until_s = 0.0
         self._sends_frames = False
-        self._has_warned = False
+        self._faults = FaultLog(log, f"{port}: ")
         self._socket.settimeout(timeout_s)
 
     def read(self, *, is_text: bool) -> bytes:
@@ -47,7 +48,7 @@ class NetworkPort:
         is_text: whether the pad sends lines, which end with their datagram.
         """
         try:
-            data, sender = self._socket.recvfrom(READ_BYTES)
+            data, sender = self._socket.recvfrom(MAX_BYTES)
         except TimeoutError:
             return b""
         if not data and self._is_stream:
@@ -67,14 +68,9 @@ class NetworkPort:
         """Whether to read this datagram. Until a board sends frames, each board is tried for a while."""
         is_other = self._sender is None or sender[0] != self._sender[0]
         if is_other and time.monotonic() < self._until_s:
-            if self._sends_frames and not self._has_warned:
-                self._has_warned = True
-                log.warning(
-                    "%s: %s sends there too; only %s is read: give each board its own port",
-                    self.port,
-                    sender[0],
-                    self._sender[0],
-                )
+            if self._sends_frames:
+                others = f"{sender[0]} sends there too; only {self._sender[0]} is read"
+                self._faults.begin("others", f"{others}: give each board its own port", cause=sender[0])
             return False
         if is_other:
             self._sends_frames = False
@@ -90,7 +86,7 @@ class NetworkPort:
             self._socket.sendto(data, self._sender)
 
     def reset_input_buffer(self) -> None:
-        while select.select([self._socket], [], [], 0)[0] and self._socket.recv(READ_BYTES):
+        while select.select([self._socket], [], [], 0)[0] and self._socket.recv(MAX_BYTES):
             pass
 
     def __enter__(self) -> "NetworkPort":

@@ -381,9 +381,9 @@ assert len(list(folder.iterdir())) == len(whole) + 1, list(folder.iterdir())
 @needs_small_disk
 def test_a_full_disk_leaves_only_whole_files(tmp_path: Path) -> None:
     warning, recovery = log_on_small_disk(tmp_path, 96, FILL_A_SMALL_DISK)
-    assert warning.startswith("WARNING the frames of touches are not kept until that is mended")
+    assert warning.startswith("WARNING the frames of touches cannot be saved")
     assert "No space left on device" in warning
-    assert recovery == "INFO the frames of touches are kept again; those of 20 were lost"
+    assert recovery.startswith("INFO the frames of touches are saved again; those of 20 were lost")
 
 
 KILL_MID_WRITE = """
