@@ -9,9 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.daemon.events import UNCERTAIN, Stage
-from touchd.drivers.frame import FRAME_RATE_HZ
-
-NO_TOUCH = "notouch"
+from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH
 
 Probability = Annotated[float, msgspec.Meta(ge=0, le=1)]
 FrameCount = Annotated[int, msgspec.Meta(ge=1, le=432)]

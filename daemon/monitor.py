@@ -80,7 +80,7 @@ class PadMonitor:
         self._faults = FaultLog(log, self._prefix)
         self._gaps = _Gaps()
         self._taxels = TaxelFaults()
-        self._line = None if parser is None else _Line(parser, where)
+        self._line = None if parser is None else _LineFaults(parser, where)
         self._rest = _Rest()
         self._lasting: dict[str, str] = {}
         self._noted_s = -math.inf
@@ -184,7 +184,7 @@ class _Gaps:
         )
 
 
-class _Line:
+class _LineFaults:
     """Whether a parser refuses more than a few frames, and whether it skips the pad's clock."""
 
     def __init__(self, parser: FrameParser, where: str) -> None:

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from touchd.daemon.config import ConfigError, JournalSettings, SceneSettings, Settings, config_errors
-from touchd.daemon.decide import NO_TOUCH
 from touchd.daemon.events import (
     MAX_REASON_BYTES,
     UNCERTAIN,
@@ -26,7 +25,7 @@ from touchd.daemon.monitor import PadMonitor
 from touchd.daemon.pipeline import Pipeline, Viewers
 from touchd.daemon.sinks import RobotSink, Sink
 from touchd.drivers.errors import one_line, os_errors_as
-from touchd.drivers.frame import COLUMNS, ROWS
+from touchd.drivers.frame import COLUMNS, NO_TOUCH, ROWS
 from touchd.drivers.pad.port import SensorError, check_port
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.pad.sensor import FrameQueue, Sensor

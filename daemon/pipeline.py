@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.daemon.decide import NO_TOUCH, Decision, DecisionSettings
+from touchd.daemon.decide import Decision, DecisionSettings
 from touchd.daemon.events import (
     MAX_REASON_BYTES,
     UNCERTAIN,
@@ -35,9 +35,9 @@ from touchd.daemon.tracker.tracker import (
     TouchTracker,
 )
 from touchd.drivers.errors import one_line
-from touchd.drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, Frame, SensorState
+from touchd.drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, NO_TOUCH, Frame, SensorState
 from touchd.drivers.pad.grid import MAX_GAP_S, GridFrame, Ring
-from touchd.model.classifier import Classifier, State, as_known
+from touchd.model.classifier import Classifier, ModelState, as_known
 
 STAGES: tuple[Stage, Stage, Stage] = ("early", "revised", "final")
 # After the final answer the network is asked about the last three quarters of a second alone, three times a
@@ -91,7 +91,7 @@ class Touch:
     meter: FeelMeter
     length: int = 0
     outputs: dict[int, NDArray[np.float64]] = field(default_factory=dict)
-    state: State | None = None
+    state: ModelState | None = None
     fed: int = 0
     recent: list[NDArray[np.float64]] = field(default_factory=list)
 

@@ -5,8 +5,8 @@ from typing import Annotated, Literal, TypeAlias
 
 import msgspec
 
-from touchd.daemon.decide import NO_TOUCH
 from touchd.daemon.events import UNCERTAIN
+from touchd.drivers.frame import NO_TOUCH
 
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=200)]
 

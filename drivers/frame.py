@@ -15,6 +15,8 @@ CLOCK_MODULUS = 2**32
 """The sensor's clock, in ms, wraps to 0 here."""
 DEFAULT_PAD = "pad"
 """The name of the only pad, if the configuration gives it none."""
+NO_TOUCH = "notouch"
+"""The label of frames in which nothing touches the pad."""
 
 Counts = NDArray[np.uint16]
 PadState: TypeAlias = Literal["up", "degraded", "down"]

@@ -35,8 +35,6 @@ KEYS = ("participant", "substrate", "cover", "gesture")
 SEAM_ROWS = 2
 # Fewer steps do not show the usual one; a clock with longer steps does not count milliseconds.
 LEAST_STEPS, SLOWEST_STEP_MS = 4, 1000
-NO_TOUCH = "notouch"
-"""The label of a recording in which nothing touches the pad."""
 UNLABELLED = "unlabelled"
 """Placeholder for the label, and for who touched what, of a recording that nobody has labelled yet."""
 # Five hours at 54 Hz, and many times the longest line of any layout: a file beyond that is not a recording.

@@ -55,7 +55,7 @@ class ModelMetadata(msgspec.Struct, frozen=True, kw_only=True):
     scores: dict[str, Any]
 
 
-State: TypeAlias = Mapping[str, NDArray[Any]]
+ModelState: TypeAlias = Mapping[str, NDArray[Any]]
 """The network's state after a touch's frames so far: arrays by the name of the model input.
 
 Older model files have no such inputs; for them the state is the frames themselves, as "counts".
@@ -111,8 +111,8 @@ class Classifier:
         return np.asarray(probabilities, dtype=np.float64)
 
     def step(
-        self, frames: NDArray[np.generic], state: State | None = None
-    ) -> tuple[NDArray[np.float64], State]:
+        self, frames: NDArray[np.generic], state: ModelState | None = None
+    ) -> tuple[NDArray[np.float64], ModelState]:
         """Return probabilities (labels,) over all frames of a touch so far, and the next state.
 
         frames: the touch's next (T, 8, 8) counts; state: from the previous call, None at first. The result
@@ -125,7 +125,7 @@ class Classifier:
         answers, tensors = self._run(counts, state or {})
         return answers[0], tensors
 
-    def _run(self, counts: NDArray[np.float32], state: State) -> tuple[NDArray[np.float64], State]:
+    def _run(self, counts: NDArray[np.float32], state: ModelState) -> tuple[NDArray[np.float64], ModelState]:
         # Plain arrays: wrapping ONNX Runtime's own values takes a quarter of a step's time.
         names = ["probabilities", *(f"next_{name}" for name in self.states)]
         answers, *after = self.session.run(names, {"counts": counts, **state})

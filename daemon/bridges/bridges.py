@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from touchd.daemon.bridges.bridge import Bridge, BridgeError
 from touchd.daemon.bridges.settings import LslSettings, Ros2Settings, Section
 from touchd.daemon.config import Settings
-from touchd.daemon.decide import NO_TOUCH
+from touchd.drivers.frame import NO_TOUCH
 from touchd.drivers.installed import EXTRAS, how_to_install
 from touchd.model.classifier import Classifier
 

@@ -12,7 +12,8 @@ from touchd.daemon.pipeline import Pipeline
 from touchd.daemon.playback.stream import add_arguments, chosen_stream, play
 from touchd.daemon.terminal.describe import describe
 from touchd.daemon.words import Vocabulary, name_of
-from touchd.drivers.recording import NO_TOUCH, Stream
+from touchd.drivers.frame import NO_TOUCH
+from touchd.drivers.recording import Stream
 
 
 def parser() -> argparse.ArgumentParser:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from touchd.drivers.recording import NO_TOUCH
+from touchd.drivers.frame import NO_TOUCH
 from touchd.model.adapt.folder import files_of
 from touchd.model.adapt.output import check_output
 

@@ -29,12 +29,11 @@ from touchd.daemon.events import Event, Label, SensorEvent, Tags, TouchBegan, To
 from touchd.daemon.sinks import QueuedSink
 from touchd.drivers.errors import os_errors_as
 from touchd.drivers.faults import FaultLog
-from touchd.drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, Frame
+from touchd.drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, NO_TOUCH, Frame
 from touchd.drivers.pad.pace import clock_ms, pace_of
 from touchd.drivers.pad.port import at_baud
 from touchd.drivers.recording import (
     KEYS,
-    NO_TOUCH,
     SUFFIX,
     UNLABELLED,
     Recording,

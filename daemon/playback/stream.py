@@ -11,11 +11,10 @@ import numpy as np
 from rich.console import Console
 
 from touchd.daemon.pipeline import Pipeline
-from touchd.drivers.frame import FRAME_RATE_HZ, Frame
+from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH, Frame
 from touchd.drivers.recording import (
     EVERYTHING,
     KEYS,
-    NO_TOUCH,
     SUFFIXES,
     Recording,
     RecordingError,

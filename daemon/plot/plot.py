@@ -7,9 +7,9 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from touchd.daemon.decide import NO_TOUCH
 from touchd.daemon.events import UNCERTAIN, Prediction
 from touchd.drivers.errors import TouchdError, os_errors_as
+from touchd.drivers.frame import NO_TOUCH
 
 WIDTH_INCHES = 12.0
 DOTS_PER_INCH = 130

@@ -12,7 +12,6 @@ from matplotlib.figure import Figure, SubFigure
 from numpy.typing import NDArray
 
 from touchd.daemon.config import Settings
-from touchd.daemon.decide import NO_TOUCH
 from touchd.daemon.events import UNCERTAIN, Event, TouchBegan
 from touchd.daemon.kept.touches import ReportedTouch, gather
 from touchd.daemon.pipeline import Pipeline
@@ -30,7 +29,7 @@ from touchd.daemon.plot.plot import (
     lane_of,
     new_figure,
 )
-from touchd.drivers.frame import FRAME_RATE_HZ
+from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH
 from touchd.drivers.recording import UNLABELLED, Span, Stream
 from touchd.model.classifier import Classifier
 

@@ -11,13 +11,13 @@ from touchd.daemon.config import Settings
 from touchd.daemon.monitor import TaxelFaults
 from touchd.daemon.recorder.session import Setting
 from touchd.daemon.tracker.tracker import Onset, Release, TouchTracker
-from touchd.drivers.frame import CLOCK_MODULUS, Frame, SensorState
+from touchd.drivers.frame import CLOCK_MODULUS, NO_TOUCH, Frame, SensorState
 from touchd.drivers.pad.grid import MAX_GAP_S, Ring
 from touchd.drivers.pad.pace import clock_ms, pace_of
 from touchd.drivers.pad.port import check_port
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.pad.sensor import FrameQueue, Sensor
-from touchd.drivers.recording import NO_TOUCH, Recording
+from touchd.drivers.recording import Recording
 
 SILENCE_S = 2.5
 RESTARTED_MS = 1000

@@ -25,9 +25,9 @@ from touchd.daemon.terminal.ask import ask
 from touchd.daemon.terminal.big_words import big
 from touchd.daemon.terminal.pad_picture import as_text, level_of, pad_picture
 from touchd.daemon.terminal.palette import palette_for
-from touchd.drivers.frame import COLUMNS, ROWS, Counts
+from touchd.drivers.frame import COLUMNS, NO_TOUCH, ROWS, Counts
 from touchd.drivers.pad.pace import pace_of
-from touchd.drivers.recording import NO_TOUCH, RecordingError, write_recordings
+from touchd.drivers.recording import RecordingError, write_recordings
 
 # Trim both ends, as HAART does: it keeps the middle eight of ten seconds.
 EDGE_S = 1.0

@@ -21,9 +21,8 @@ from touchd.daemon.recorder.session import Setting
 from touchd.daemon.recorder.touch_picture import Offered, draw, list_touches
 from touchd.daemon.terminal.ask import ask, ask_setting
 from touchd.drivers.errors import os_errors_as
-from touchd.drivers.frame import DEFAULT_PAD
+from touchd.drivers.frame import DEFAULT_PAD, NO_TOUCH
 from touchd.drivers.recording import (
-    NO_TOUCH,
     SUFFIX,
     Recording,
     RecordingError,

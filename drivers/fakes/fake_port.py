@@ -39,10 +39,10 @@ class FakePortError(TouchdError):
     """The system has no pseudo-terminal left, or none at all."""
 
 
-T = TypeVar("T", bound="_Line")
+T = TypeVar("T", bound="_FakeLine")
 
 
-class _Line(ABC):
+class _FakeLine(ABC):
     """A pseudo-terminal, and the thread that sends through it."""
 
     def __init__(self) -> None:
@@ -97,7 +97,7 @@ class _Line(ABC):
         return not self._hangup.poll(0)
 
 
-class LivePort(_Line):
+class LivePort(_FakeLine):
     """Sends a frame 54 times a second; frames that nobody reads are lost, as with a real pad.
 
     scan: returns what the pad reads now, given the sensor's clock in ms. encode: as for `FakePort`.
@@ -125,7 +125,7 @@ class LivePort(_Line):
                 os.read(self._master, 4096)
 
 
-class FakePort(_Line):
+class FakePort(_FakeLine):
     """Plays `stream` through a pty from the moment a reader opens `path`.
 
     encode: turns counts (8, 8) and a clock in ms into the bytes of one frame. speed: 1 keeps the stream's own

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT
 
-Counts = NDArray[np.float32]
+Pressures = NDArray[np.float32]
 
 # Six times a second, fit the last two thirds of a second.
 STRIDE_FRAMES = 9
-LOOK_FRAMES = 36
+WINDOW_FRAMES = 36
 # A sine counts if it has this amplitude in counts and explains this share of the variance of the pad's mean.
 # A new vibration reaches both after about 20 frames. Of 802 recordings of touches and rest one has such a
 # sine; its pad shakes.
@@ -54,10 +54,10 @@ ENDED_FRAMES, ENDED = 18, 4.0
 LEAST_SPREAD = 0.03
 LEAST_SCALE = 0.1
 
-AGO = np.arange(1 - LOOK_FRAMES, 1)
-HANN = np.hanning(LOOK_FRAMES + 2)[1:-1]
+AGO = np.arange(1 - WINDOW_FRAMES, 1)
+HANN = np.hanning(WINDOW_FRAMES + 2)[1:-1]
 SLOPE = AGO - AGO.mean()
-LEVEL_AND_SLOPE = np.stack([np.ones(LOOK_FRAMES), SLOPE])
+LEVEL_AND_SLOPE = np.stack([np.ones(WINDOW_FRAMES), SLOPE])
 # A maximum at the first or last frequency belongs to a vibration outside the range.
 TURNS = 2 * np.pi * np.arange(2.75, 25.26, 0.25) / FRAME_RATE_HZ
 WAVES = np.exp(-1j * np.outer(TURNS, AGO)) * HANN * 2 / HANN.sum()
@@ -73,8 +73,8 @@ class _Wave:
 
     turn: float
     now: complex
-    weights: Counts
-    rest: Counts
+    weights: Pressures
+    rest: Pressures
     fitted: float = 0.0
     looks: int = 1
     misfits: int = 0
@@ -84,13 +84,13 @@ class _Wave:
         values: NDArray[np.float32] = (self.now * np.exp(1j * self.turn * ago)).real.astype(np.float32)
         return values
 
-    def without(self, frames: Counts, values: NDArray[np.float32]) -> Counts:
+    def without(self, frames: Pressures, values: NDArray[np.float32]) -> Pressures:
         """Return (T, 64) counts without the sine; counts of 0 may have been cut off, and stay."""
         left = np.minimum(np.maximum(frames - values[:, None] * self.weights, 0), MAX_COUNT)
-        kept: Counts = np.where(frames > 0, left, 0)
+        kept: Pressures = np.where(frames > 0, left, 0)
         return kept
 
-    def fit(self, frames: Counts) -> complex:
+    def fit(self, frames: Pressures) -> complex:
         """Fit the sine to the light taxels."""
         follows = self.weights > 0
         light = np.sort((frames - self.rest)[:, follows] / self.weights[follows], axis=1)[:, LIGHT]
@@ -104,12 +104,12 @@ class Vibration:
     """Follows a pad's frames on the grid and returns them without vibration."""
 
     def __init__(self) -> None:
-        self._newest: list[Counts] = []
-        self._blocks: deque[Counts] = deque(maxlen=LOOK_FRAMES // STRIDE_FRAMES)
-        self._means: deque[NDArray[np.float64]] = deque(maxlen=LOOK_FRAMES // STRIDE_FRAMES)
+        self._newest: list[Pressures] = []
+        self._blocks: deque[Pressures] = deque(maxlen=WINDOW_FRAMES // STRIDE_FRAMES)
+        self._means: deque[NDArray[np.float64]] = deque(maxlen=WINDOW_FRAMES // STRIDE_FRAMES)
         self._wave: _Wave | None = None
 
-    def take_out(self, pressure: Counts) -> Counts:
+    def take_out(self, pressure: Pressures) -> Pressures:
         """Take the next (8, 8) counts; return the same array unless the pad vibrates."""
         self._newest.append(pressure)
         wave = self._wave
@@ -130,8 +130,8 @@ class Vibration:
     def _look(self) -> None:
         wave = self._wave
         common = np.concatenate(self._means)
-        common -= np.add.reduce(common) / LOOK_FRAMES
-        if wave is None and common @ common < LOOK_FRAMES * LEAST_VARIANCE:
+        common -= np.add.reduce(common) / WINDOW_FRAMES
+        if wave is None and common @ common < WINDOW_FRAMES * LEAST_VARIANCE:
             return
         frames = np.concatenate(self._blocks)
         found = _find(frames, common)
@@ -143,7 +143,7 @@ class Vibration:
         elif wave is not None and not self._follow(wave, frames, is_untouched=found is not None):
             self._wave = None
 
-    def _follow(self, wave: _Wave, frames: Counts, *, is_untouched: bool) -> bool:
+    def _follow(self, wave: _Wave, frames: Pressures, *, is_untouched: bool) -> bool:
         """Adjust the sine to the last frames; return whether the pad still vibrates."""
         newest = frames[-ENDED_FRAMES:]
         left = wave.without(newest, wave.values(AGO[-ENDED_FRAMES:]))
@@ -166,7 +166,7 @@ class Vibration:
         return True
 
 
-def _find(frames: Counts, common: NDArray[np.float64]) -> tuple[float, complex] | None:
+def _find(frames: Pressures, common: NDArray[np.float64]) -> tuple[float, complex] | None:
     """Return the turn and the newest value of the sine that all taxels follow, if there is one.
 
     common: (T,), the mean of the taxels, less its mean over time.
@@ -189,13 +189,13 @@ def _find(frames: Counts, common: NDArray[np.float64]) -> tuple[float, complex] 
     return (float(TURNS[at]), now) if is_common else None
 
 
-def _is_alive(frames: Counts) -> NDArray[np.bool_]:
+def _is_alive(frames: Pressures) -> NDArray[np.bool_]:
     """Return (64,), which taxels change in (T, 64) counts."""
     alive: NDArray[np.bool_] = (frames != frames[0]).any(axis=0)
     return alive
 
 
-def _learn(frames: Counts, turn: float, now: complex) -> _Wave:
+def _learn(frames: Pressures, turn: float, now: complex) -> _Wave:
     """Learn each taxel's weight from an untouched pad, while the sine is positive: no count is cut at 0."""
     values = (now * np.exp(1j * turn * AGO)).real
     above, upper = values[values > 0], frames[values > 0]

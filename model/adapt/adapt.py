@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from touchd.drivers.recording import NO_TOUCH, Recording
+from touchd.drivers.frame import NO_TOUCH
+from touchd.drivers.recording import Recording
 from touchd.model.adapt.backbone import BAR, CropFeatures, WindowFeatures, crops, split, windows
 from touchd.model.adapt.head import AdaptSettings, fit, rebuilt
 from touchd.model.adapt.measure import Answers, Comparison, compare, cross_entropy

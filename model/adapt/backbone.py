@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from touchd.drivers.recording import NO_TOUCH, Recording
+from touchd.drivers.frame import NO_TOUCH
+from touchd.drivers.recording import Recording
 from touchd.model.adapt.augment import Frames, begin_from_rest, crop, vary
 from touchd.model.settings import LENGTHS, AugmentationSettings
 from touchd.model.tgc import TGC

@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from touchd.drivers.errors import TouchdError, os_errors_as
-from touchd.drivers.frame import FRAME_RATE_HZ
+from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH
 from touchd.drivers.recording import (
-    NO_TOUCH,
     SUFFIXES,
     UNLABELLED,
     Recording,

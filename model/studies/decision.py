@@ -23,7 +23,7 @@ from touchd.daemon.decide import EARLIEST_FRAMES, SURE, Decision, DecisionSettin
 from touchd.daemon.events import Stage
 from touchd.daemon.pipeline import STAGES, PipelineSettings
 from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT
-from touchd.model.classifier import SHIPPED_MODEL, Classifier, State
+from touchd.model.classifier import SHIPPED_MODEL, Classifier, ModelState
 from touchd.model.studies.checks.evaluate import Split
 from touchd.model.studies.folders import study_parser
 from touchd.model.studies.marked import fill, table
@@ -364,7 +364,7 @@ def windows_of(windows: haart.Windows, model: Classifier) -> Streams:
     """Return a network's answers about windows of FRAMES frames, frame by frame, "notouch" included."""
     outputs = np.zeros((len(windows.labels), FRAMES, len(model.labels)), np.float32)
     for answers, window in zip(outputs, windows.counts, strict=True):
-        state: State | None = None
+        state: ModelState | None = None
         for frame in range(FRAMES):
             answers[frame], state = model.step(window[frame : frame + 1], state)
     detected = np.zeros(len(windows.labels), np.int64)

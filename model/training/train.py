@@ -17,7 +17,8 @@ from torch.func import functional_call, vmap
 from torch.nn import functional
 from tqdm import tqdm
 
-from touchd.drivers.recording import NO_TOUCH, Recording
+from touchd.drivers.frame import NO_TOUCH
+from touchd.drivers.recording import Recording
 from touchd.model.adapt.augment import Frames, as_another_pad, as_quiet_pad, begin_from_rest, crop, vary
 from touchd.model.adapt.optimise import GRADIENT_LIMIT, learning_rate_at
 from touchd.model.adapt.output import code_version, data_hash

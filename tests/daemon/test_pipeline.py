@@ -20,9 +20,9 @@ from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.daemon.playback.stream import play
 from touchd.daemon.tracker.tracker import TouchSettings
 from touchd.drivers.fakes.hand import simulate
-from touchd.drivers.frame import DEFAULT_PAD, MAX_COUNT, Counts, Frame, SensorState
-from touchd.drivers.recording import NO_TOUCH, Stream, ideal_clock_ms, read_recordings, splice
-from touchd.model.classifier import Classifier, State
+from touchd.drivers.frame import DEFAULT_PAD, MAX_COUNT, NO_TOUCH, Counts, Frame, SensorState
+from touchd.drivers.recording import Stream, ideal_clock_ms, read_recordings, splice
+from touchd.model.classifier import Classifier, ModelState
 
 STOPPED = Clock(monotonic_s=lambda: 100.0, epoch_s=lambda: 1795168800.0)
 TIME = "2026-11-20T10:00:00.000Z"
@@ -257,7 +257,9 @@ class Wavering(Scripted):
     def __init__(self) -> None:
         super().__init__(lambda asked: "rub" if asked % 2 else "stroke")
 
-    def step(self, frames: NDArray[np.float32], state: State | None) -> tuple[NDArray[np.float64], State]:
+    def step(
+        self, frames: NDArray[np.float32], state: ModelState | None
+    ) -> tuple[NDArray[np.float64], ModelState]:
         return Scripted().answer(), super().step(frames, state)[1]
 
 

@@ -35,8 +35,8 @@ from touchd.daemon.kept.touch_store import (
 )
 from touchd.daemon.parts import keep_touches
 from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
-from touchd.drivers.frame import Frame
-from touchd.drivers.recording import NO_TOUCH, UNLABELLED, read_provenance, read_recordings
+from touchd.drivers.frame import NO_TOUCH, Frame
+from touchd.drivers.recording import UNLABELLED, read_provenance, read_recordings
 from touchd.drivers.whole_file import PARTIAL
 
 PERIOD_MS = 1000 / 54

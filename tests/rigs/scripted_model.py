@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from touchd.daemon.tracker.baseline import SECOND_FRAMES
 from touchd.daemon.tracker.tracker import GLANCE_FRAMES
-from touchd.model.classifier import State
+from touchd.model.classifier import ModelState
 
 LABELS = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
 
@@ -33,7 +33,9 @@ class Scripted:
         self.asked.append(frames)
         return self.answer()
 
-    def step(self, frames: NDArray[np.float32], state: State | None) -> tuple[NDArray[np.float64], State]:
+    def step(
+        self, frames: NDArray[np.float32], state: ModelState | None
+    ) -> tuple[NDArray[np.float64], ModelState]:
         so_far = frames if state is None else np.concatenate([state["counts"], frames])
         self.stepped.append(so_far)
         return self.answer(), {"counts": so_far}

@@ -8,8 +8,8 @@ from rigs.haart_folder import needs_haart, one_person
 
 from touchd.daemon.events import Prediction
 from touchd.daemon.tracker.tracker import TouchSettings
-from touchd.drivers.frame import Frame
-from touchd.drivers.recording import NO_TOUCH, Recording, ideal_clock_ms
+from touchd.drivers.frame import NO_TOUCH, Frame
+from touchd.drivers.recording import Recording, ideal_clock_ms
 from touchd.model.classifier import Classifier
 from touchd.model.studies.play import play
 from touchd.model.studies.tracker import figures, report

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS, Counts
-from touchd.drivers.recording import NO_TOUCH, Recording, set_up
+from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, NO_TOUCH, ROWS, Counts
+from touchd.drivers.recording import Recording, set_up
 
 QUIET_FRAMES = 162
 SKIPPED_FRAMES = 54

@@ -20,9 +20,9 @@ import numpy as np
 from touchd.daemon.config import SceneSettings, SensorSettings, Settings
 from touchd.daemon.events import UNCERTAIN, Event, Prediction, TouchBegan, TouchEnded
 from touchd.daemon.pipeline import Clock, Pipeline
+from touchd.drivers.frame import NO_TOUCH
 from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.protocol import parser_of
-from touchd.drivers.recording import NO_TOUCH
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 from touchd.model.studies.folders import study_parser
 from touchd.model.training.haart import find

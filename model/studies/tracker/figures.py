@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.daemon.tracker.tracker import TouchSettings
-from touchd.drivers.frame import FRAME_RATE_HZ
-from touchd.drivers.recording import NO_TOUCH, Recording
+from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH
+from touchd.drivers.recording import Recording
 from touchd.model.studies.tracker.measure import (
     Case,
     Outcome,

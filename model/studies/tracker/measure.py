@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from touchd.daemon.tracker.baseline import MIN_NOISE_FLOOR
 from touchd.daemon.tracker.tracker import CALIBRATION_FRAMES, Onset, Release, TouchSettings, TouchTracker
-from touchd.drivers.frame import FRAME_RATE_HZ
+from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH
 from touchd.drivers.pad.grid import GridFrame
-from touchd.drivers.recording import NO_TOUCH, Recording, set_up
+from touchd.drivers.recording import Recording, set_up
 
 Scans = NDArray[np.float32]
 
