@@ -1,4 +1,36 @@
-"""The base class of touchd's errors: one printable line that says what is wrong and what to do."""
+"""The base class of touchd's errors: one printable line that says what is wrong and what to do.
+
+Every error that a user sees; the command shows its message and exits with code 2:
+
+TouchdError
+    UsageError         daemon/cli.py                the command line
+    ConfigError        daemon/config.py             the configuration
+    PathError          drivers/errors.py            a path's home
+    SensorError        drivers/pad/port.py          the pad's port
+    FormatError        drivers/pad/format.py        the description of a pad
+    RobotError         drivers/robot/session.py     the robot's address, login or library
+    ModelError         model/classifier.py          a model file
+    RecordingError     drivers/recording.py         a recording
+    JournalError       daemon/journal.py            the journal
+    LabelError         daemon/labels.py             a label for a touch
+    BridgeError        daemon/bridges/bridge.py     a bridge's settings or library
+    LiveError          daemon/live/address.py       the live page's address or library
+    PlotError          daemon/plot/plot.py          a picture
+    ConvertError       daemon/commands/convert.py   a conversion
+    FakePortError      drivers/fakes/fake_port.py   the fake port
+    ExtraError         model/adapt/folder.py        the recordings to adapt to
+    OutputError        model/adapt/output.py        the adapted model's file
+    SettingsError      model/training/recipe.py     a recipe
+    DownloadError      model/training/download.py   HAART's archive
+    CheckpointError    model/training/checkpoint.py a training's file
+    MissingStudyError  model/studies/checks/scores.py
+    PageError          model/studies/marked.py      a page's marked places
+    ResultsError       model/studies/results.py     stored figures
+
+Handled where they arise and never shown: StrictYamlError (daemon/strict_yaml.py), EventError
+(daemon/events.py), ModelInputError (model/classifier.py), PadLost (daemon/recorder/capture.py), RobotLost and
+RobotRefused (drivers/robot/session.py). Anything else is an internal error: exit code 1.
+"""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -5,7 +5,6 @@ process may grow by MOST_MB. Beyond that it ends, and the daemon keeps running a
 `python -m touchd.daemon.bridges.apart` is that process.
 """
 
-import importlib
 import logging
 import math
 import os
@@ -22,7 +21,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from touchd.daemon.bridges.bridge import GOODBYE_S, POLL_S, Bridge, ConnectedBridge
+from touchd.daemon.bridges.bridge import GOODBYE_S, POLL_S, Bridge, ConnectedBridge, bridge_class
 from touchd.daemon.bridges.settings import LslSettings, Ros2Settings
 from touchd.daemon.events import Event, encode
 from touchd.drivers.frame import COLUMNS, ROWS, Frame
@@ -142,12 +141,11 @@ def main(arguments: Sequence[str]) -> int:
     logging.basicConfig(format="%(levelname)s %(message)s", level=logging.INFO)
     logging.getLogger().handlers[0].addFilter(_end_without_memory)
     try:
-        module = importlib.import_module(f"touchd.daemon.bridges.{name}")
+        make = bridge_class(name)
     # pylsl raises RuntimeError without liblsl, as on a processor that liblsl is not built for.
     except (ImportError, RuntimeError) as error:
         sys.stderr.write(f"cannot be used on this machine ({' '.join(str(error).split())})\n")
         return 1
-    make = getattr(module, f"{name.capitalize()}Bridge")
     bridges: dict[str, Bridge] = {
         pad: make(msgspec.json.decode(section, type=SECTIONS[name]), pad) for pad in pads
     }

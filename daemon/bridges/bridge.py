@@ -1,11 +1,12 @@
 """The base classes of bridges: a bounded queue, a limited frame rate, a connection that is kept open."""
 
+import importlib
 import logging
 import threading
 import time
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from touchd.daemon.events import Event, kind_of
 from touchd.daemon.sinks import QueuedSink
@@ -13,6 +14,13 @@ from touchd.drivers.errors import TouchdError
 from touchd.drivers.faults import Backoff
 from touchd.drivers.frame import Frame
 
+# Module and class of each section of the configuration.
+BRIDGES = {
+    "mqtt": "mqtt:MqttBridge",
+    "lsl": "lsl:LslBridge",
+    "ros2": "ros2:Ros2Bridge",
+    "rosbridge": "rosbridge:RosbridgeBridge",
+}
 # An event, or a frame and its pad.
 Item: TypeAlias = Event | tuple[Frame, str]
 
@@ -31,6 +39,12 @@ GOODBYE_S = 1.0
 
 class BridgeError(TouchdError):
     """A bridge cannot be used as configured; the message is one line that says what to do."""
+
+
+def bridge_class(name: str) -> Any:
+    """Import the bridge of a section; raises ImportError or RuntimeError if its library cannot be loaded."""
+    module, _, kind = BRIDGES[name].partition(":")
+    return getattr(importlib.import_module(f"touchd.daemon.bridges.{module}"), kind)
 
 
 class Bridge(QueuedSink[Item]):

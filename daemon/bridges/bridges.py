@@ -1,10 +1,9 @@
 """Makes the bridges that are configured: for each section one a pad, or one process for all pads."""
 
-import importlib
 import importlib.util
 from collections.abc import Mapping
 
-from touchd.daemon.bridges.bridge import Bridge, BridgeError
+from touchd.daemon.bridges.bridge import Bridge, BridgeError, bridge_class
 from touchd.daemon.bridges.settings import LslSettings, Ros2Settings, Section
 from touchd.daemon.config import Settings
 from touchd.drivers.frame import NO_TOUCH
@@ -37,8 +36,7 @@ def _make(name: str, section: Section, pads: tuple[str, ...], gestures: tuple[st
         from touchd.daemon.bridges.apart import ApartBridge
 
         return ApartBridge(name, section, pads)
-    module = importlib.import_module(f"touchd.daemon.bridges.{name}")
-    bridge: Bridge = getattr(module, f"{name.capitalize()}Bridge")(section, *pads, gestures)
+    bridge: Bridge = bridge_class(name)(section, *pads, gestures)
     return bridge
 
 

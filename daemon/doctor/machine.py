@@ -18,6 +18,7 @@ from touchd.daemon.parts import load_model
 from touchd.drivers.errors import PathError
 from touchd.drivers.frame import COLUMNS, ROWS
 from touchd.drivers.installed import program_name
+from touchd.drivers.robot.link import read_login
 from touchd.drivers.robot.session import (
     QiSession,
     RobotError,
@@ -25,7 +26,6 @@ from touchd.drivers.robot.session import (
     RobotLost,
     RobotRefused,
     RobotSettings,
-    read_login,
     without_password,
 )
 from touchd.model.classifier import ModelError

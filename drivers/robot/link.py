@@ -17,14 +17,16 @@ from dataclasses import dataclass
 from touchd.drivers.faults import FaultLog
 from touchd.drivers.frame import DEFAULT_PAD
 from touchd.drivers.robot.session import (
+    Login,
     OpenSession,
     QiSession,
+    RobotError,
     RobotLimits,
     RobotRefused,
     RobotSession,
     RobotSettings,
     load_qi,
-    read_login,
+    without_password,
 )
 from touchd.drivers.robot.worker import LinkState, Worker
 
@@ -149,6 +151,24 @@ class RobotLink:
             self._on_state(state, reason)
         except Exception:
             log.exception("the state of the robot could not be reported")
+
+
+def read_login(settings: RobotSettings) -> Login | None:
+    """Return the login, None if no user is set; raises RobotError with one line.
+
+    No text made of the result contains the token.
+    """
+    address = re.fullmatch(r"tcps?://([^\s/@:]+):(\d{1,5})", settings.url)
+    if address is None or int(address[2]) > 65535:
+        shown = without_password(settings.url)
+        raise RobotError(f"robot url {shown!r} is not an address such as tcp://nao.local:9559")
+    if settings.user is None:
+        if settings.token_file:
+            raise RobotError("robot has a token but no user; set user (nao on most robots)")
+        return None
+    from touchd.drivers.robot.login import login_of
+
+    return login_of(settings, settings.user, address[1])
 
 
 class _EventWorker(Worker[RobotMessage]):

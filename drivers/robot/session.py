@@ -87,24 +87,6 @@ def without_password(address: str) -> str:
     return re.sub(r"//.*@", "//***@", address)
 
 
-def read_login(settings: RobotSettings) -> Login | None:
-    """Return the login, None if no user is set; raises RobotError with one line.
-
-    No text made of the result contains the token.
-    """
-    address = re.fullmatch(r"tcps?://([^\s/@:]+):(\d{1,5})", settings.url)
-    if address is None or int(address[2]) > 65535:
-        shown = without_password(settings.url)
-        raise RobotError(f"robot url {shown!r} is not an address such as tcp://nao.local:9559")
-    if settings.user is None:
-        if settings.token_file:
-            raise RobotError("robot has a token but no user; set user (nao on most robots)")
-        return None
-    from touchd.drivers.robot.login import login_of
-
-    return login_of(settings, settings.user, address[1])
-
-
 class RobotLost(Exception):  # noqa: N818 - says what happened; it is handled, never shown as an error
     """The robot is gone or answers too late (a call may still run there); only a new session helps."""
 

@@ -40,7 +40,8 @@ from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import Frame
 from touchd.drivers.pad.grid import GridFrame, Ring
 from touchd.drivers.recording import Recording, RecordingError, read_recordings, write_recordings
-from touchd.drivers.robot.session import RobotError, RobotSettings, read_login
+from touchd.drivers.robot.link import read_login
+from touchd.drivers.robot.session import RobotError, RobotSettings
 from touchd.drivers.whole_file import PARTIAL
 
 PING = b"\x89\xbc" + bytes(4) + bytes(60)
