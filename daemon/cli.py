@@ -32,6 +32,7 @@ COMMANDS = (
     Command("init", "daemon.commands.init", "finds the pad, asks for the robot, writes a configuration"),
     Command("run", "daemon.commands.run", "the daemon: reads the pad, reports touches to the robot"),
     Command("demo", "daemon.commands.demo", "runs the daemon on a simulated pad, then ends"),
+    Command("tag", "daemon.commands.tag", "puts tags such as participant=P07 into a daemon's events"),
     Command("replay", "daemon.commands.replay", "plays recordings through a fake serial port"),
     Command("fake-pad", "daemon.commands.fake_pad", "simulates a pad and prints the path of its port"),
     Command("fake-robot", "drivers.fakes.fake_robot", "simulates a robot and prints every call"),

@@ -8,7 +8,12 @@ from pathlib import Path
 from touchd.daemon.events import Event, Label, timestamp
 from touchd.daemon.kept.touch_store import kept_touches
 from touchd.drivers.errors import TouchdError
+from touchd.drivers.frame import NO_TOUCH
 from touchd.drivers.installed import program_name
+
+# The key of each gesture but notouch, in order. l, q, u and w are commands of `touchd record`.
+KEYS = "123456789abcdefghijkmnoprstvxyz"
+NO_TOUCH_KEY = "0"
 
 # From this many labelled touches on, and at each multiple, it says how to learn from them.
 ENOUGH = 10
@@ -59,6 +64,12 @@ class Labeller:
             return f"{count} touches labelled; set journal.keep_touches, so that touchd can learn from them"
         how = f"{program_name()} train --extra {shlex.quote(str(folder))}"
         return f"{count} touches labelled; to learn from them: {how}"
+
+
+def keys_of(gestures: Sequence[str]) -> dict[str, str]:
+    """Return the gesture of each key."""
+    named = dict(zip(KEYS, (gesture for gesture in gestures if gesture != NO_TOUCH), strict=False))
+    return named | ({NO_TOUCH_KEY: NO_TOUCH} if NO_TOUCH in gestures else {})
 
 
 def _labelled_in(folder: Path) -> int:

@@ -11,7 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 from touchd.daemon.config import Settings
 from touchd.daemon.events import LivePrediction
 from touchd.daemon.health import Health
-from touchd.daemon.parts import PadChannel, make_parts
+from touchd.daemon.parts import PadChannel, make_labeller, make_parts
 from touchd.daemon.sinks import EventFanout, Sink
 from touchd.drivers.frame import Frame, SensorState
 from touchd.drivers.queue import Signal
@@ -27,15 +27,19 @@ if typing.TYPE_CHECKING:
 
 
 class Service:
-    """The daemon's loop and its parts. Raises TouchdError when the settings cannot be used."""
+    """The daemon's loop and its parts. Raises TouchdError when the settings cannot be used.
+
+    events: where all of them pass through.
+    """
 
     def __init__(self, settings: Settings, health: Health) -> None:
+        self._settings = settings
         self._health = health
         self._more_sinks: tuple[Sink, ...] = ()
         self._view: View | None = None
         self._arrived = Signal()
-        self._events = EventFanout()
-        self._parts = make_parts(settings, self._events.emit, self._viewers, self._arrived)
+        self.events = EventFanout()
+        self._parts = make_parts(settings, self.events.emit, self._viewers, self._arrived)
 
     def tell(self, sink: Sink) -> None:
         """Send every event to this sink too, whatever the configuration. Call it before `run`."""
@@ -45,13 +49,15 @@ class Service:
         """Show everything on a view, with the frames of the first pad. Call it before `run`."""
         self.tell(view)
         self._view = view
+        models = {pad.name: pad.model for pad in self._parts.pads}
+        view.labeller = make_labeller(self._settings, models, self.events.emit)
 
     def run(self, must_stop: Callable[[], bool]) -> None:
         """Run until `must_stop` returns True; then end current touches and stop every sink."""
         # Exempt loaded objects from garbage collection: a full pass takes as long as an answer may.
         gc.freeze()
-        self._events.hand_to((*self._more_sinks, *self._parts.sinks))
-        for sink in self._events.sinks:
+        self.events.hand_to((*self._more_sinks, *self._parts.sinks))
+        for sink in self.events.sinks:
             sink.start()
         for pad in self._parts.pads:
             pad.sensor.start()
@@ -64,7 +70,7 @@ class Service:
                 took = False
                 for pad in self._parts.pads:
                     took = self._process_next(pad) or took
-                self._health.report(self._events.touches, self._dropped())
+                self._health.report(self.events.touches, self._dropped())
         finally:
             self._end()
 
@@ -88,7 +94,7 @@ class Service:
                 self._process_next(pad)
             pad.pipeline.flush()
         left = sum(len(pad.queue) for pad in self._parts.pads)
-        self._health.end(self._events.touches, sum(self._dropped().values()) + left)
+        self._health.end(self.events.touches, sum(self._dropped().values()) + left)
         self._stop_sinks()
 
     def _dropped(self) -> dict[str, int]:
@@ -123,7 +129,7 @@ class Service:
         """Stop sinks within SINKS_STOP_S: the robot first, then the others, then all bridges in parallel."""
         deadline_s = time.monotonic() + SINKS_STOP_S
         bridges = self._parts.bridges
-        others = [sink for sink in reversed(self._events.sinks) if sink not in bridges]
+        others = [sink for sink in reversed(self.events.sinks) if sink not in bridges]
         for left, sink in zip(range(len(others), 0, -1), others, strict=True):
             sink.stop(max(0.0, deadline_s - time.monotonic()) / (left + bool(bridges)))
         with ThreadPoolExecutor(len(bridges) or 1) as ending:

@@ -8,8 +8,10 @@ import select
 import threading
 import typing
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Generic, TypeVar
+
+import msgspec
 
 from touchd.daemon.events import (
     Event,
@@ -49,12 +51,13 @@ class Sink(typing.Protocol):
 class EventFanout:
     """Hands every event to every sink; any thread may call it, and no sink makes it wait.
 
-    touches: number of touches that began.
+    touches: number of touches that began. tags: put into each event.
     """
 
     def __init__(self) -> None:
         self.sinks: tuple[Sink, ...] = ()
         self.touches = 0
+        self.tags: Mapping[str, str] = {}
 
     def hand_to(self, sinks: Iterable[Sink]) -> None:
         """Set the sinks; the robot comes last, so that its own events follow the answer that caused them."""
@@ -64,6 +67,8 @@ class EventFanout:
         # The robot's threads emit events too, but no touches: only one thread may count.
         if isinstance(event, TouchBegan):
             self.touches += 1
+        if self.tags:
+            event = msgspec.structs.replace(event, tags=self.tags)
         for sink in self.sinks:
             sink.put(event)
 

@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Sequence
 
 import pylsl
+from msgspec import UNSET
 
 from touchd.daemon.bridges.bridge import Bridge, Item
 from touchd.daemon.bridges.settings import LslSettings
@@ -52,9 +53,12 @@ class LslBridge(Bridge):
 def marker_of(event: Event) -> str:
     """Return an event as a short marker; MNE selects by the words between the slashes."""
     if isinstance(event, Prediction):
-        return f"{event.stage}/{event.gesture}/{'told' if event.told else 'untold'}"
-    says = [getattr(event, name) for name in ("gesture", "state", "action") if hasattr(event, name)]
-    return "/".join([kind_of(event), *says])
+        says = [event.stage, event.gesture, "told" if event.told else "untold"]
+    else:
+        names = ("gesture", "state", "action")
+        says = [kind_of(event), *(getattr(event, name) for name in names if hasattr(event, name))]
+    tags = {} if event.tags is UNSET else event.tags
+    return "/".join([*says, *(f"{key}={value}" for key, value in tags.items())])
 
 
 def _ahead_of(clock: Callable[[], float]) -> float:

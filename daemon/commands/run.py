@@ -18,6 +18,7 @@ from touchd.daemon.health import Health, Notifier
 from touchd.daemon.log import LogWriter
 from touchd.daemon.service import Service
 from touchd.daemon.sinks import LinesSink
+from touchd.daemon.tags import TagServer, changed
 
 # Python's thread switch interval; its default, 5 ms, is longer than an answer takes.
 SWITCH_S = 0.0005
@@ -86,6 +87,13 @@ def parser() -> argparse.ArgumentParser:
         metavar="[HOST:]PORT",
         help="also serve the live page, at 127.0.0.1:8054 unless configured or given here",
     )
+    parser.add_argument(
+        "--tag",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="put this into every event, as in participant=P07; repeatable; `touchd tag` changes it later",
+    )
     return parser
 
 
@@ -96,6 +104,7 @@ def main(arguments: Sequence[str]) -> int:
     if options.view and not is_terminal:
         parser().error("--view needs a terminal")
     in_words = is_terminal and not options.json
+    tags = changed({}, options.tag)
     with config_errors():
         found = _find(options)
     settings = found.settings
@@ -106,9 +115,12 @@ def main(arguments: Sequence[str]) -> int:
         notifier = Notifier(os.environ)
         closing.callback(notifier.close)
         service = Service(settings, Health(notifier))
+        service.events.tags = tags
+        closing.enter_context(TagServer(service.events))
         favour_latency()
         page, code = _live_page(settings) if settings.live else ("", "")
         if options.view:
+            from touchd.daemon.terminal.keys import listening
             from touchd.daemon.terminal.view import View, ViewLog
 
             (name, first), *_ = settings.pads.items()
@@ -117,6 +129,7 @@ def main(arguments: Sequence[str]) -> int:
             closing.enter_context(view)
             handler: logging.Handler = ViewLog(view)
             service.show_on(view)
+            closing.enter_context(listening(view.on_key))
         else:
             handler = writer = LogWriter(sys.stderr.fileno())
             writer.start()

@@ -17,6 +17,7 @@ from rich.console import Console
 from touchd.daemon.events import timestamp
 from touchd.daemon.kept.touch_store import KeptTouch, folder_of, kept_touches, read_frames
 from touchd.daemon.kept.touches import read_since
+from touchd.daemon.labels import KEYS
 from touchd.daemon.recorder.session import Setting
 from touchd.daemon.recorder.touch_picture import Offered, draw, list_touches
 from touchd.daemon.terminal.ask import ask, ask_setting
@@ -32,8 +33,6 @@ from touchd.drivers.recording import (
 )
 
 RIGHT = ".right"
-# Digits first, then letters; l, q, u and w are commands.
-KEYS = "123456789abcdefghijkmnoprstvxyz"
 NOT_KEPT = (
     "no touches are saved there; set journal.keep_touches in the daemon's configuration and restart it; "
     "it then saves new touches; if it has several pads, choose one with --pad"

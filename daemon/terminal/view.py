@@ -17,6 +17,7 @@ from rich.style import Style
 from touchd.daemon.events import (
     UNCERTAIN,
     Event,
+    Label,
     LivePrediction,
     Prediction,
     RobotAction,
@@ -26,6 +27,7 @@ from touchd.daemon.events import (
     TouchEnded,
 )
 from touchd.daemon.kept.touches import ReportedTouch
+from touchd.daemon.labels import LabelError, Labeller, keys_of
 from touchd.daemon.log import LogGate
 from touchd.daemon.terminal.bars import bars
 from touchd.daemon.terminal.big_words import big
@@ -56,9 +58,10 @@ GAP = 2
 
 
 class ShownTouch(ReportedTouch):
-    """A touch so far. trace: (seconds since it began, sum of counts)."""
+    """A touch so far. trace: (seconds since it began, sum of counts). label: what a person said it was."""
 
     trace: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=LONGEST_TRACE))
+    label: str = ""
 
     @property
     def length_s(self) -> float:
@@ -72,6 +75,7 @@ class View:
 
     words: display names of gestures. answer_at_frames: the scene's marks. console: standard output by
     default. card: lines to show if there is room. pad: the pad shown.
+    labeller: takes what a person says, by a key, that the touch on the screen was; None if nobody can.
     """
 
     name = "view"
@@ -104,6 +108,7 @@ class View:
         self._said_by_robot = ""
         self._doing = ""
         self._notes: deque[tuple[str, bool]] = deque(maxlen=NOTES)
+        self.labeller: Labeller | None = None
         self._live = Live(
             console=self._console,
             get_renderable=lambda: self,
@@ -149,6 +154,21 @@ class View:
     def doing(self, text: str) -> None:
         self._doing = text
 
+    def on_key(self, key: str) -> None:
+        """Label the touch on the screen with the gesture of a key; any other key does nothing."""
+        if self.labeller is None:
+            return
+        gesture = keys_of(self.labeller.gestures[self._shown_pad]).get(key)
+        with self._lock:
+            touch = self._touches[-1].began.touch if self._touches else None
+        if gesture is None or touch is None:
+            return
+        try:
+            if advice := self.labeller.label(self._shown_pad, touch, gesture):
+                self.note(advice)
+        except LabelError as error:
+            self.note(str(error), is_bad=True)
+
     def put(self, event: Event) -> None:
         if not isinstance(event, RobotEvent) and event.pad != self._shown_pad:
             return
@@ -165,6 +185,10 @@ class View:
                     self._touches[-1].add(event)
                     if isinstance(event, Prediction):
                         self._name_labels(event.probabilities)
+                case Label():
+                    for touch in self._touches:
+                        if touch.began.touch == event.touch:
+                            touch.label = event.gesture
                 case SensorEvent():
                     self._states["pad"] = event.state
                 case RobotEvent():
@@ -175,6 +199,8 @@ class View:
                     self._said_by_robot = event.what
         if isinstance(event, SensorEvent | RobotEvent):
             self.note(describe(event, self._words), event.state != "up")
+        elif isinstance(event, Label):
+            self.note(describe(event, self._words))
 
     def stop(self, timeout_s: float = 0.0) -> None:
         """Restore the terminal, if it is still there."""
@@ -200,7 +226,8 @@ class View:
             yield from line
 
     def _draw(self, width: int, height: int) -> list[TextLine]:
-        body = height - 3
+        keys = [self._keys_line()] if self.labeller is not None and height > LEAST_ROWS else []
+        body = height - 3 - len(keys)
         card_height = len(self._card) + 1 if self._card and body - len(self._card) >= HIGH - 16 else 0
         scale = min((width * 9 // 20) // COLUMNS, (body - 1 - card_height) // 4, LARGEST_SCALE)
         with_pad = width >= NARROWEST and height >= LOWEST and scale >= 2
@@ -214,7 +241,7 @@ class View:
             left = [[margin, *line, *[margin] * GAP] for line in pad]
         right = self._fit(self._right(right_width, body), right_width, body)
         lines = [[*one, *other] for one, other in zip(left, right, strict=True)]
-        return [self._header(width), *lines, self._robot_line(), self._note_line()]
+        return [self._header(width), *lines, *keys, self._robot_line(), self._note_line()]
 
     def _fit(self, lines: list[TextLine], width: int, height: int) -> list[TextLine]:
         """Return lines cropped or padded to a width and a height."""
@@ -275,6 +302,8 @@ class View:
         if len(changes) > 1:
             names = ", ".join(self._name(gesture) for gesture in changes[:-1])
             line.append(Segment(f" ↻ {names} before", palette.changed))
+        if touch.label:
+            line.append(Segment(f" = {self._name(touch.label)}", palette.ink))
         return line
 
     def _right(self, width: int, height: int) -> list[TextLine]:
@@ -371,6 +400,18 @@ class View:
             Segment(" Robot ", palette.muted),
             Segment(self._said_by_robot, palette.robot + Style(bold=True)),
         ]
+
+    def _keys_line(self) -> TextLine:
+        """Return which key says what the touch on the screen was."""
+        palette = self._palette
+        if self.labeller is None or not self._touches:
+            return []
+        line = [Segment(" It was: ", palette.muted)]
+        label = self._touches[-1].label
+        for key, gesture in keys_of(self.labeller.gestures[self._shown_pad]).items():
+            style = palette.accent if gesture == label else palette.ink
+            line += [Segment(key, style + Style(bold=True)), Segment(f" {self._name(gesture)}  ", style)]
+        return line
 
     def _note_line(self) -> TextLine:
         line: TextLine = [Segment(f" {self._doing} ", self._palette.ink)] if self._doing else []

@@ -20,6 +20,7 @@ from touchd.daemon.bridges.bridges import make_bridges
 from touchd.daemon.bridges.settings import LslSettings, Ros2Settings
 from touchd.daemon.config import Settings
 from touchd.daemon.events import (
+    Label,
     RobotAction,
     RobotEvent,
     SensorEvent,
@@ -100,9 +101,10 @@ def test_lsl_markers_carry_the_events_time(tmp_path: Path) -> None:
         SensorEvent(state="down", time=ago),
         RobotEvent(state="up", time=ago),
         RobotAction(touch=1, action="say", what="Hello", time=ago),
+        Label(touch=1, gesture="rub", time=ago, tags={"participant": "P07", "trial": "3"}),
     ):
         bridge.put(event)
-    pulled = [inlet.pull_sample(timeout=WITHIN_S) for _ in range(6)]
+    pulled = [inlet.pull_sample(timeout=WITHIN_S) for _ in range(7)]
     bridge.stop(2.0)
     markers = [sample[0] for sample, _ in pulled]
     assert markers == [
@@ -112,6 +114,7 @@ def test_lsl_markers_carry_the_events_time(tmp_path: Path) -> None:
         "sensor/down",
         "robot/up",
         "robot_action/say",
+        "label/rub/participant=P07/trial=3",
     ]
     assert pulled[0][1] == pytest.approx(ago_s, abs=0.2)
 

@@ -1,12 +1,20 @@
 """Labels: what a person says that a touch was, as events and as advice."""
 
+import os
+import signal
+import termios
+import time
 from pathlib import Path
 
 import pytest
 from rigs.ended_touch import ended_touch
+from rigs.expectations import LENGTHS
+from rigs.patient_port import playing
+from rigs.terminal import Terminal
+from rigs.wait import WITHIN_S, wait_for
 
 from touchd.daemon.events import Event, Label, decode, encode
-from touchd.daemon.kept.touch_store import TouchStore
+from touchd.daemon.kept.touch_store import TouchStore, folder_of, kept_touches
 from touchd.daemon.labels import LabelError, Labeller
 
 GESTURES = ("notouch", "pat", "stroke")
@@ -44,3 +52,28 @@ def test_without_kept_frames_it_says_how_to_keep_them() -> None:
     labeller = Labeller(lambda _: None, {"pad": GESTURES}, {})
     said = [labeller.label("pad", touch, "pat") for touch in range(10)]
     assert "journal.keep_touches" in said[-1]
+
+
+def test_a_key_says_what_the_touch_on_the_screen_was(tmp_path: Path) -> None:
+    journal = tmp_path / "events.jsonl"
+    config = tmp_path / "touchd.yaml"
+    with playing(LENGTHS, 1.0) as port:
+        config.write_text(
+            f"sensor: {{port: {port.path}}}\njournal: {{path: {journal}, keep_touches: 20}}\nlanguage: de\n"
+        )
+        with Terminal("run", "--view", "-c", str(config)) as terminal:
+            terminal.until("It was: 1 ruhende Hand")
+            # Neither arrow keys nor keys without a gesture say anything.
+            for keys in (b"\x1b[A", b"z", b"2"):
+                os.write(terminal._master, keys)
+                time.sleep(0.3)
+            terminal.until("touch 1 was: Tätscheln")
+            wait_for(lambda: any(kept.label for kept in kept_touches(folder_of(journal))))
+            terminal.process.send_signal(signal.SIGINT)
+            assert terminal.process.wait(WITHIN_S) == 0
+            # The terminal echoes again.
+            assert termios.tcgetattr(terminal._master)[3] & termios.ECHO
+    labels = [event for line in journal.open("rb") if isinstance(event := decode(line), Label)]
+    assert [(label.touch, label.gesture) for label in labels] == [(1, "pat")]
+    kept = kept_touches(folder_of(journal))
+    assert [(touch.number, touch.label) for touch in kept if touch.label] == [(1, "pat")]
