@@ -152,42 +152,53 @@ def put_into_use(
         console.print(f"To use it, set `model: {model}` in touchd.yaml.")
         return
     pad = pad or next(iter(load(config).sensors), None)
-    question, no = f"Enter to use it from now on (in {config}), n to leave the configuration as it is: ", "n"
-    if is_worse:
-        question, no = "It was right less often. Enter to leave the configuration as it is, u to use it: ", ""
-    if ask(console, question, ("", "u" if is_worse else "n")) == no:
+    if not _is_wanted(console, config, is_worse=is_worse):
         return
     is_service = config.resolve().parent == SERVICE_FOLDER
     again = "run the same command with sudo; it does not record again"
     advice = again if is_service else f"set `model: {model}` in it yourself"
     with os_errors_as(ConfigError, f"{config}: cannot be written", advice):
-        if is_service:
-            model = _beside(model)
+        copy = _beside(model) if is_service else None
         # Resolve a symlink, so that its target is replaced and not the link.
         with whole_file(config.resolve()) as new:
-            by_hand = ConfigError(f"{config} stays as it was; set `model: {model}` in it yourself")
-            try:
-                # As bytes, to keep line ends.
-                new.write_bytes(with_model(config.read_bytes().decode(), model, pad).encode())
-                settings = load(new)
-            except (ConfigError, UnicodeDecodeError) as error:
-                raise by_hand from error
-            if only_pad(settings, pad).model != str(model):
-                raise by_hand
-            try:
-                load_models(settings)
-            except TouchdError as error:
-                if is_service:
-                    model.unlink()
-                raise ConfigError(
-                    f"{config} stays as it was; the new model does not fit it: {error}"
-                ) from error
-    then = (
-        "sudo systemctl restart touchd"
-        if is_service
-        else f"{program_name()} run -c {shlex.quote(str(config))}"
-    )
-    console.print(f"Set. To use it now: {then}")
+            settings = _write_changed(new, config, copy or model, pad)
+            _check_models(settings, config, copy)
+    by_service = "sudo systemctl restart touchd"
+    by_hand = f"{program_name()} run -c {shlex.quote(str(config))}"
+    console.print(f"Set. To use it now: {by_service if is_service else by_hand}")
+
+
+def _is_wanted(console: Console, config: Path, *, is_worse: bool) -> bool:
+    """Ask whether to use the model; a model that was right less often only if asked for."""
+    if is_worse:
+        question = "It was right less often. Enter to leave the configuration as it is, u to use it: "
+        return ask(console, question, ("", "u")) == "u"
+    question = f"Enter to use it from now on (in {config}), n to leave the configuration as it is: "
+    return ask(console, question, ("", "n")) == ""
+
+
+def _write_changed(new: Path, config: Path, model: Path, pad: str | None) -> Settings:
+    """Write a configuration with the model set to a new file, and load it; raises ConfigError."""
+    by_hand = ConfigError(f"{config} stays as it was; set `model: {model}` in it yourself")
+    try:
+        # As bytes, to keep line ends.
+        new.write_bytes(with_model(config.read_bytes().decode(), model, pad).encode())
+        settings = load(new)
+    except (ConfigError, UnicodeDecodeError) as error:
+        raise by_hand from error
+    if only_pad(settings, pad).model != str(model):
+        raise by_hand
+    return settings
+
+
+def _check_models(settings: Settings, config: Path, copy: Path | None) -> None:
+    """Raise ConfigError if the models do not fit the settings; remove a copy made for them."""
+    try:
+        load_models(settings)
+    except TouchdError as error:
+        if copy is not None:
+            copy.unlink()
+        raise ConfigError(f"{config} stays as it was; the new model does not fit it: {error}") from error
 
 
 def _beside(model: Path) -> Path:
