@@ -198,7 +198,11 @@ def bridges_to_others(settings: Settings, models: Mapping[str, Classifier]) -> t
         return ()
     from touchd.daemon.bridges.bridges import make_bridges
 
-    return tuple(make_bridges(settings, models))
+    gestures = {
+        name: pad.scene.gestures or tuple(label for label in models[name].labels if label != NO_TOUCH)
+        for name, pad in settings.pads.items()
+    }
+    return tuple(make_bridges(settings.bridges, gestures))
 
 
 def load_model(settings: Settings) -> Classifier:

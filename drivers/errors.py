@@ -13,6 +13,7 @@ TouchdError
     RecordingError     drivers/recording.py         a recording
     JournalError       daemon/journal.py            the journal
     LabelError         daemon/labels.py             a label for a touch
+    TagError           daemon/tags.py               a tag for touches
     BridgeError        daemon/bridges/bridge.py     a bridge's settings or library
     LiveError          daemon/live/address.py       the live page's address or library
     PlotError          daemon/plot/plot.py          a picture

@@ -1,30 +1,26 @@
 """Makes the bridges that are configured: for each section one a pad, or one process for all pads."""
 
 import importlib.util
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from touchd.daemon.bridges.bridge import Bridge, BridgeError, bridge_class
 from touchd.daemon.bridges.settings import LslSettings, Ros2Settings, Section
-from touchd.daemon.config import Settings
-from touchd.drivers.frame import NO_TOUCH
 from touchd.drivers.installed import EXTRAS, how_to_install
-from touchd.model.classifier import Classifier
 
 
-def make_bridges(settings: Settings, models: Mapping[str, Classifier]) -> list[Bridge]:
+def make_bridges(
+    sections: Mapping[str, Section | None], gestures: Mapping[str, Sequence[str]]
+) -> list[Bridge]:
     """Return the configured bridges, not yet started.
 
-    models: the model of each pad. Raises BridgeError when a bridge cannot be used as configured.
+    gestures: that each pad can tell. Raises BridgeError when a bridge cannot be used as configured.
     """
     bridges: list[Bridge] = []
-    for name, section in settings.bridges.items():
+    for name, section in sections.items():
         if isinstance(section, LslSettings | Ros2Settings):
-            bridges.append(_make(name, section, tuple(settings.pads), ()))
+            bridges.append(_make(name, section, tuple(gestures), ()))
         elif section is not None:
-            bridges += [
-                _make(name, section, (pad,), own.scene.gestures or _touches(models[pad]))
-                for pad, own in settings.pads.items()
-            ]
+            bridges += [_make(name, section, (pad,), tuple(own)) for pad, own in gestures.items()]
     return bridges
 
 
@@ -38,7 +34,3 @@ def _make(name: str, section: Section, pads: tuple[str, ...], gestures: tuple[st
         return ApartBridge(name, section, pads)
     bridge: Bridge = bridge_class(name)(section, *pads, gestures)
     return bridge
-
-
-def _touches(model: Classifier) -> tuple[str, ...]:
-    return tuple(label for label in model.labels if label != NO_TOUCH)

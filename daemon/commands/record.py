@@ -10,8 +10,9 @@ from touchd.daemon.commands.one_pad import add_settings, settings_of
 from touchd.daemon.recorder.capture import PadReader
 from touchd.daemon.recorder.dialogue import HOW, Dialogue, Terms
 from touchd.daemon.recorder.label import label, label_of
-from touchd.daemon.recorder.session import Session, name
-from touchd.daemon.terminal.ask import Stopped, ask_setting
+from touchd.daemon.recorder.session import Session
+from touchd.daemon.recorder.who import ask_setting, name
+from touchd.daemon.terminal.ask import Stopped
 from touchd.daemon.terminal.width import text_width
 from touchd.drivers.numbers import within
 from touchd.drivers.recording import prepare

@@ -18,8 +18,9 @@ from touchd.daemon.config import ConfigError, Settings, load, only_pad
 from touchd.daemon.parts import load_models
 from touchd.daemon.recorder.capture import PadReader
 from touchd.daemon.recorder.dialogue import HOW, Dialogue, Terms
-from touchd.daemon.recorder.session import Session, Setting, name
-from touchd.daemon.terminal.ask import Stopped, ask, ask_name
+from touchd.daemon.recorder.session import Session
+from touchd.daemon.recorder.who import Setting, ask_name, name
+from touchd.daemon.terminal.ask import Stopped, ask
 from touchd.daemon.terminal.width import text_width
 from touchd.drivers.errors import TouchdError, os_errors_as
 from touchd.drivers.installed import program_name

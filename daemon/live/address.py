@@ -1,16 +1,14 @@
 """Where the live page is served, and the host names it answers to."""
 
 import errno
-import fcntl
 import io
 import ipaddress
 import re
 import socket
-import struct
-from contextlib import suppress
 
 import msgspec
 
+from touchd.daemon.addresses import own_addresses
 from touchd.daemon.config import ConfigError, LiveSettings
 from touchd.drivers.errors import TouchdError
 from touchd.drivers.installed import how_to_install
@@ -19,8 +17,6 @@ from touchd.drivers.installed import how_to_install
 SEND_BUFFER_BYTES = 16 * 1024
 EVERY_ADDRESS = ("0.0.0.0", "::")
 HIGHEST_PORT = 65535
-# ioctl(2), netdevice(7): the address of an interface.
-SIOCGIFADDR = 0x8915
 
 
 class LiveError(TouchdError):
@@ -84,21 +80,6 @@ def urls_of(settings: LiveSettings, port: int) -> list[str]:
     if settings.host in EVERY_ADDRESS:
         hosts = own_addresses() or [socket.gethostname()]
     return [f"http://{f'[{host}]' if ':' in host else host}:{port}/" for host in hosts]
-
-
-def own_addresses() -> list[str]:
-    """Return this computer's IPv4 addresses, that of the default route first."""
-    found = []
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
-        # Connecting UDP sends nothing; the kernel only picks the source address.
-        with suppress(OSError):
-            asking.connect(("192.0.2.1", 9))
-            found.append(asking.getsockname()[0])
-        for _, name in socket.if_nameindex():
-            with suppress(OSError):
-                answer = fcntl.ioctl(asking.fileno(), SIOCGIFADDR, struct.pack("256s", name.encode()[:15]))
-                found.append(socket.inet_ntoa(answer[20:24]))
-    return [address for address in dict.fromkeys(found) if not ipaddress.ip_address(address).is_loopback]
 
 
 def qr_code(url: str) -> str:

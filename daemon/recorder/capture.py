@@ -9,7 +9,7 @@ import numpy as np
 
 from touchd.daemon.config import Settings
 from touchd.daemon.monitor import TaxelFaults
-from touchd.daemon.recorder.session import Setting
+from touchd.daemon.recorder.who import Setting
 from touchd.daemon.tracker.tracker import Onset, Release, TouchTracker
 from touchd.drivers.frame import CLOCK_MODULUS, NO_TOUCH, Frame, SensorState
 from touchd.drivers.pad.grid import MAX_GAP_S, Ring

@@ -18,9 +18,9 @@ from touchd.daemon.events import timestamp
 from touchd.daemon.kept.touch_store import KeptTouch, folder_of, kept_touches, read_frames
 from touchd.daemon.kept.touches import read_since
 from touchd.daemon.labels import KEYS
-from touchd.daemon.recorder.session import Setting
 from touchd.daemon.recorder.touch_picture import Offered, draw, list_touches
-from touchd.daemon.terminal.ask import ask, ask_setting
+from touchd.daemon.recorder.who import Setting, ask_setting
+from touchd.daemon.terminal.ask import ask
 from touchd.drivers.errors import os_errors_as
 from touchd.drivers.frame import DEFAULT_PAD, NO_TOUCH
 from touchd.drivers.recording import (

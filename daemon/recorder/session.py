@@ -4,18 +4,12 @@ Each recording is a file, FOLDER/participant_substrate_cover_gesture_number.csv.
 Files are written atomically and never overwritten, so an interrupted session can be continued.
 """
 
-import argparse
 import random
-import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
+from touchd.daemon.recorder.who import Setting
 from touchd.drivers.recording import SUFFIX, RecordingError, read_recordings
-
-# Names become parts of file names, separated by "_", and cells of CSV files.
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9-]{0,31}")
-NAME_RULE = "a name has letters (a to z), digits and - only, 32 at most"
 
 
 @dataclass(frozen=True)
@@ -25,14 +19,6 @@ class Take:
     gesture: str
     number: int
     path: Path
-
-
-class Setting(NamedTuple):
-    """Who touches what. substrate: under the pad. cover: over it."""
-
-    participant: str = ""
-    substrate: str = "none"
-    cover: str = "none"
 
 
 @dataclass(frozen=True)
@@ -71,15 +57,3 @@ class Session:
             if not is_one:
                 raise RecordingError(f"{take.path}: holds no recording; delete it, and record it again")
         return [take for take in self.takes() if take not in there]
-
-
-def is_name(text: str) -> bool:
-    """Whether a text can name a participant, a substrate, a cover or a gesture."""
-    return NAME.fullmatch(text) is not None
-
-
-def name(text: str) -> str:
-    """Check a name from the command line; for argparse."""
-    if not is_name(text):
-        raise argparse.ArgumentTypeError(f"invalid name {text!r}: {NAME_RULE}")
-    return text

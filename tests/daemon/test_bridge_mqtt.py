@@ -23,10 +23,10 @@ from rigs.sockets import free_port
 from rigs.wait import WITHIN_S, wait_for
 
 from touchd.daemon.bridges.bridge import Bridge, BridgeError
-from touchd.daemon.bridges.bridges import make_bridges
 from touchd.daemon.bridges.settings import MqttSettings
 from touchd.daemon.config import SceneSettings, Settings
 from touchd.daemon.events import SensorEvent, decode, encode
+from touchd.daemon.parts import bridges_to_others
 
 pytest.importorskip("paho.mqtt")
 pytestmark = needs_mosquitto
@@ -49,7 +49,7 @@ Open = Callable[..., Bridge]
 def made(port: int, **settings: Any) -> list[Bridge]:
     scene = SceneSettings(gestures=settings.pop("gestures", None))
     mqtt = MqttSettings(**({"host": "127.0.0.1", "port": port} | settings))
-    return make_bridges(Settings(mqtt=mqtt, scene=scene), MODELS)
+    return list(bridges_to_others(Settings(mqtt=mqtt, scene=scene), MODELS))
 
 
 @pytest.fixture

@@ -17,7 +17,8 @@ from touchd.daemon.config import Settings
 from touchd.daemon.recorder import dialogue
 from touchd.daemon.recorder.capture import Capture, PadReader, complaints
 from touchd.daemon.recorder.dialogue import Dialogue, Terms
-from touchd.daemon.recorder.session import Session, Setting
+from touchd.daemon.recorder.session import Session
+from touchd.daemon.recorder.who import Setting
 from touchd.daemon.terminal.width import text_width
 from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.frame import Frame

@@ -15,7 +15,8 @@ from rigs.wait import WITHIN_S
 from touchd.daemon import cli
 from touchd.daemon.config import SensorSettings, Settings
 from touchd.daemon.recorder.capture import PadLost, PadReader
-from touchd.daemon.recorder.session import Session, Setting
+from touchd.daemon.recorder.session import Session
+from touchd.daemon.recorder.who import Setting
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.frame import Counts
