@@ -3,6 +3,7 @@
 import ast
 import re
 import sys
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -74,6 +75,28 @@ def test_the_studies_stand_above_everything(package: str) -> None:
             assert not from_package(names, "touchd.model.studies"), path
             if not path.is_relative_to(TRAINING):
                 assert not from_package(names, "touchd.model.training"), path
+
+
+def rooms() -> dict[str, set[str]]:
+    """Return what each part of the installed packages imports; a part is a file of a root, or a folder."""
+    found: dict[str, set[str]] = {}
+    for path in (
+        path for package in ("drivers", "daemon", "model") for path in ROOT.glob(f"{package}/**/*.py")
+    ):
+        if path.name != "__init__.py" and not path.is_relative_to(STUDIES):
+            found.setdefault(
+                room(f"touchd.{path.relative_to(ROOT).with_suffix('')}".replace("/", ".")), set()
+            ).update(map(room, from_package(imports(path), "touchd")))
+    return {name: others & found.keys() - {name} for name, others in found.items()}
+
+
+def room(name: str) -> str:
+    """Return the part that a module belongs to: touchd.daemon.decide, touchd.daemon.live."""
+    return ".".join(name.split(".")[:3])
+
+
+def test_no_parts_import_each_other_in_a_circle() -> None:
+    TopologicalSorter(rooms()).prepare()
 
 
 WHAT_IS_LOADED = """
