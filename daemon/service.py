@@ -7,6 +7,7 @@ import time
 import typing
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 from touchd.daemon.config import Settings
 from touchd.daemon.events import LivePrediction
@@ -60,7 +61,7 @@ class Service:
         for sink in self.events.sinks:
             sink.start()
         for pad in self._parts.pads:
-            pad.sensor.start()
+            pad.sensor.start(partial(self._has_time, pad))
         took = False
         try:
             while not must_stop():
@@ -73,6 +74,11 @@ class Service:
                 self._health.report(self.events.touches, self._dropped())
         finally:
             self._end()
+
+    def _has_time(self, pad: PadChannel) -> bool:
+        """Whether nobody needs a pad's next frames at once: no answer is due, and nobody is shown them."""
+        is_shown = any(bridge.frames_hz is not None for bridge in self._parts.bridges)
+        return pad.pipeline.has_time and not is_shown and not self._viewers()
 
     def _viewers(self) -> list[Callable[[LivePrediction], None]]:
         """Return the current viewers of live predictions."""

@@ -202,6 +202,15 @@ class TouchTracker:
         self._index = -1
         self._sensor_ms = 0.0
 
+    def is_settled(self, frames: int) -> bool:
+        """Whether no touch ends by quiet within that many frames, and none may just have begun."""
+        match self._state:
+            case Quiet():
+                return True
+            case Touched() as touch:
+                return self._index - touch.last + frames < self._quiet_frames
+        return False
+
     @property
     def last_contact_index(self) -> int:
         """The current touch's last grid frame with contact, less the median's delay."""

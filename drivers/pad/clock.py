@@ -68,6 +68,11 @@ class FrameClock:
         self._windows = deque(maxlen=FIRST_WINDOWS)
         self._window = None
 
+    @property
+    def dates_frames(self) -> bool:
+        """Whether frames are dated by the pad's clock, so that it does not matter when they are read."""
+        return self._is_chosen and self._unit_ms is not None
+
     def is_on_time(self, stamp: float) -> bool:
         """Whether a frame with that clock agrees with the clock followed so far, if it is used."""
         return self._unit_ms is None or self._check.is_on_time(_as_ms(stamp, self._unit_ms))

@@ -24,8 +24,8 @@ class NetworkPort:
         self.port = port
         self.baudrate = 0
         where = (host, number)
-        self._is_stream = protocol == "tcp"
-        if self._is_stream:
+        self.is_stream = protocol == "tcp"
+        if self.is_stream:
             self._socket = socket.create_connection(where, CONNECT_S)
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         else:
@@ -51,9 +51,9 @@ class NetworkPort:
             data, sender = self._socket.recvfrom(MAX_BYTES)
         except TimeoutError:
             return b""
-        if not data and self._is_stream:
+        if not data and self.is_stream:
             raise ConnectionResetError("the pad closed the connection")
-        if self._is_stream:
+        if self.is_stream:
             return data
         if not self._follows(sender):
             return b""
@@ -80,7 +80,7 @@ class NetworkPort:
 
     def write(self, data: bytes) -> None:
         """Send to the pad; over UDP, to whoever sent last."""
-        if self._is_stream:
+        if self.is_stream:
             self._socket.sendall(data)
         elif self._sender is not None:
             self._socket.sendto(data, self._sender)

@@ -110,6 +110,11 @@ def read_waiting(opened: Line, parser: FrameParser) -> bytes:
         raise SensorError("missing", f"{opened.port} went away: unplugged or switched off?") from error
 
 
+def reads_all(opened: Line) -> bool:
+    """Whether one read returns all that has arrived, as on a serial port; over UDP it is a datagram."""
+    return type(opened) is serial.Serial or (not isinstance(opened, serial.SerialBase) and opened.is_stream)
+
+
 def _network_address(port: str) -> tuple[str, str, int] | None:
     """Return "tcp" or "udp", host and number of a pad's address on the network, None for another port.
 

@@ -3,6 +3,7 @@
 import logging
 import threading
 import time
+from collections.abc import Callable
 
 import serial
 
@@ -15,6 +16,7 @@ from touchd.drivers.pad.port import (
     at_baud,
     open_port,
     read_waiting,
+    reads_all,
 )
 from touchd.drivers.queue import DroppingQueue, Signal
 
@@ -27,6 +29,9 @@ FRAMELESS_S = 30.0
 PAUSED_S = 1.0
 # After a read of this many bytes, the reader rests this many times as long as parsing took, up to a limit.
 FLOOD_BYTES, FLOOD_REST, LONGEST_REST_S = 16384, 9, 0.25
+# Frames that nobody needs at once are read four at a time at 54 Hz, because a wake-up with cold caches costs
+# more than a frame. Linux keeps 4096 bytes of a port: if half of that has come, the next read is not put off.
+UNHURRIED_S, MOST_UNHURRIED_BYTES = 0.0745, 2048
 # Enough for a few frames, even if a telnet server doubles their bytes FF.
 RECENT_BYTES = 32768
 
@@ -50,6 +55,7 @@ class Sensor:
     ever longer up to longest_retry_s. Without a frame for silence_s the pad is down. After reopen_after_s
     without a byte the port is reopened, which restarts an Arduino that hangs; after frameless_s without a
     frame too. A frame's host_s is when its last byte was read.
+    While `has_time` (see `start`), a pad with a clock is read every UNHURRIED_S only.
     parser: turns the port's bytes into frames; its counts may be read from any thread.
     """
 
@@ -75,6 +81,7 @@ class Sensor:
         self._reopen_after_s = reopen_after_s
         self._frameless_s = frameless_s
         self._is_up = False
+        self._has_time: Callable[[], bool] = lambda: False
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="touchd-sensor", daemon=True)
 
@@ -83,8 +90,12 @@ class Sensor:
         """The port, with its baud rate where it has one."""
         return self._port + at_baud(self._port, self._baud)
 
-    def start(self) -> None:
-        """Begin to read; returns at once."""
+    def start(self, has_time: Callable[[], bool] = lambda: False) -> None:
+        """Begin to read; returns at once.
+
+        has_time: whether nobody needs the next frames within UNHURRIED_S; called from the reader's thread.
+        """
+        self._has_time = has_time
         self._thread.start()
 
     def stop(self, timeout_s: float = 1.0) -> None:
@@ -116,6 +127,7 @@ class Sensor:
         """Read until stopped, or until the port should be opened again."""
         self.parser.reset()
         recent = b""
+        can_wait = reads_all(opened) and not self.parser.format.poll
         read_s = byte_s = frame_s = reported_s = time.monotonic()
         while not self._stop.is_set():
             data = read_waiting(opened, self.parser)
@@ -130,6 +142,9 @@ class Sensor:
                     frame_s, recent = now_s, b""
                     if not isinstance(opened, serial.SerialBase):
                         opened.keep_sender()
+                    is_dated = self.parser.clock.dates_frames and len(data) < MOST_UNHURRIED_BYTES
+                    if can_wait and is_dated and self._has_time():
+                        time.sleep(UNHURRIED_S)
                 self._rest_from(len(data), now_s)
             if now_s - byte_s > self._reopen_after_s or now_s - frame_s > self._frameless_s:
                 return

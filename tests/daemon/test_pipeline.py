@@ -151,6 +151,22 @@ def test_one_frame_is_left_for_the_model_at_a_mark() -> None:
     assert lengths == sorted({*range(9, 145, 9), 53, 80, 143})
 
 
+def test_frames_may_wait_unless_an_answer_is_due() -> None:
+    bench, since_touch = Bench(), list[bool]()
+    assert bench.pipeline.has_time
+    for _ in range(190):
+        bench.feel(palm(1 / 54))
+        since_touch.append(bench.pipeline.has_time)
+    # An answer is due at 54, 81 and 144 frames, then every 18; frames may wait until 10 before each.
+    assert since_touch[43:53] == since_touch[70:80] == since_touch[133:143] == [False] * 10
+    assert all(since_touch[10:43] + since_touch[53:70] + since_touch[80:133])
+    assert since_touch[144:190].count(True) >= 15
+    bench.feel(nothing(0.7))
+    assert not bench.pipeline.has_time
+    bench.feel(nothing(0.5))
+    assert bench.pipeline.has_time
+
+
 def test_pads_touched_at_once_are_answered_as_each_alone() -> None:
     model, alone, emitted = Scripted(), Bench(), list[Event]()
     pads = [

@@ -5,19 +5,23 @@ import socket
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rigs.formats import FabricGrid, encode_fabric_grid
+from rigs.formats import FabricGrid, encode_csv_line, encode_fabric_grid
 from rigs.line_faults import NO_FAULTS, Faults, FaultyPort
-from rigs.sensor_rig import BAUD, assert_played, next_frames, next_state, sensing, stream_of
+from rigs.sensor_rig import BAUD, Encode, assert_played, next_frames, next_state, sensing, stream_of
 from rigs.wait import WITHIN_S
 
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import Counts, Frame, SensorState
+from touchd.drivers.pad.format import PRESETS, PadFormat
+from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import check_port
+from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.pad.sensor import FrameQueue, Sensor
 
 
@@ -43,6 +47,10 @@ def test_up_comes_first_then_every_intact_frame_once(faults: Faults, lost: list[
         frames = next_frames(queue, len(intact))
     assert_played(frames, stream, intact)
     assert [frame.number for frame in frames] == list(range(len(intact)))
+
+
+def without_clock(counts: Counts, sensor_ms: int) -> bytes:
+    return encode_csv_line(counts, sensor_ms).partition(b",")[2]
 
 
 def delays_s(frames: list[Frame], port: FakePort) -> NDArray[np.float64]:
@@ -88,6 +96,31 @@ def test_frames_after_a_stall_keep_their_true_arrival() -> None:
     assert_played(frames, stream, range(30))
     assert frames[9].host_s < stalled_s <= frames[10].host_s
     assert np.median(delays_s(frames[10:], port)) < 0.01
+
+
+@pytest.mark.parametrize(
+    ("encode", "parser", "has_time", "is_together"),
+    [
+        (encode_fabric_grid, FabricGrid(), True, True),
+        (encode_fabric_grid, FabricGrid(), False, False),
+        (encode_csv_line, parser_of(PRESETS["csv"]), True, True),
+        (without_clock, parser_of(PadFormat(framing="text", rows=10, columns=10, crop=1)), True, False),
+    ],
+    ids=["binary", "needed", "text", "without a clock"],
+)
+def test_frames_that_nobody_needs_are_read_together(
+    encode: Encode, parser: FrameParser, has_time: bool, is_together: bool
+) -> None:
+    queue = FrameQueue()
+    with FakePort(stream_of(200), encode) as port:
+        sensor = Sensor(port.path, BAUD, parser, queue)
+        sensor.start(lambda: has_time)
+        # The clock is known after a second and a half.
+        frames = next_frames(queue, 160)[-40:]
+        sensor.stop()
+    assert [later.number - frame.number for frame, later in pairwise(frames)] == [1] * 39
+    reads = len({frame.host_s for frame in frames})
+    assert reads <= 15 if is_together else reads >= 30
 
 
 def test_any_pyserial_address_works() -> None:
