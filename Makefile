@@ -55,7 +55,7 @@ help:
 	@echo "make check         ruff and mypy"
 	@echo "make bench         latency, processor, memory, start-up and speed of the real daemon"
 	@echo "make soak          24 hours of sensor time flat out: nothing grows, nothing is lost (some twenty minutes)"
-	@echo "make expectations  rebuild the expected events beside the shipped recordings"
+	@echo "make expectations  rebuild the expected events beside the recordings in tests/recordings (ADD=FILE adds one)"
 	@echo "make install       put the service in place, or upgrade it (sudo; EXTRAS, PREFIX); make uninstall removes it"
 	@echo "make deb           build a Debian package in dist/, with the same layout"
 	@echo "make lock          renew the versions that make and CI install"
@@ -93,7 +93,7 @@ soak: $(RUNTIME)
 	$$(sed -n 's/^Environment=/env /p' systemd/touchd.service) PYTHONPATH=.:tests $(BIN)/python -m by_hand.soak --out model/studies/stored/soak.json
 
 expectations: $(RUNTIME)
-	PYTHONPATH=tests $(BIN)/python -m rigs.expectations
+	PYTHONPATH=tests $(BIN)/python -m rigs.expectations $(if $(RECORD),--record) $(if $(ADD),--add $(ADD))
 
 # PREFIX/touchd becomes a virtual environment of the service's own. DESTDIR: where a package is put together.
 # BINDIR: where the command is linked, for every shell. SYSTEM: where systemd and udev look, /usr/lib in a package.

@@ -12,7 +12,7 @@ import pytest
 from rigs.call_log import CallLog
 from rigs.login_gate import Gate
 from rigs.sockets import free_port
-from rigs.wait import WITHIN_S
+from rigs.wait import SOON_S
 
 from touchd.drivers.fakes.loopback_robot import LoopbackRobot
 from touchd.drivers.fakes.stub_robot import StubRobot
@@ -120,7 +120,7 @@ class States:
             self.told.append((state, reason))
             self._changed.notify_all()
 
-    def wait_for(self, *states: str, timeout_s: float = WITHIN_S) -> str:
+    def wait_for(self, *states: str, timeout_s: float = SOON_S) -> str:
         """Wait until exactly these states were reported; returns the reason of the last."""
         with self._changed:
             assert self._changed.wait_for(lambda: self._names() == states, timeout_s), self.told

@@ -5,14 +5,15 @@ from collections.abc import Callable
 from typing import TypeVar
 
 T = TypeVar("T")
-# Not a requirement: the time that a very busy machine may need.
+# Not requirements: what a busy machine may need, for a condition and for a whole program.
+SOON_S = 10.0
 WITHIN_S = 100.0
 # The same for stopping, after which systemd would kill the daemon.
 AT_ONCE_S = 5.0
 LONGEST_PAUSE_S = 0.05
 
 
-def wait_for(what: Callable[[], T], within_s: float = WITHIN_S) -> T:
+def wait_for(what: Callable[[], T], within_s: float = SOON_S) -> T:
     """Wait until `what` returns something true; return that."""
     until_s = time.monotonic() + within_s
     pause_s = 0.005
