@@ -6,6 +6,7 @@ import time
 import typing
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -75,10 +76,13 @@ class Parts:
 
 
 @config_errors()
-def make_parts(settings: Settings, emit: Emit, viewers: Viewers, arrived: Signal) -> Parts:
+def make_parts(
+    settings: Settings, emit: Emit, viewers: Viewers, arrived: Signal, config: Path | None = None
+) -> Parts:
     """Return the parts of a daemon; raises TouchdError when the settings cannot be used.
 
     emit: receives every event. viewers: see `Pipeline`. arrived: is set whenever a pad's queue has something.
+    config: the file of the settings, by which a bridge knows what an earlier version of it left on a broker.
     """
     check_pad(settings)
     models = load_models(settings)
@@ -102,7 +106,7 @@ def make_parts(settings: Settings, emit: Emit, viewers: Viewers, arrived: Signal
         robot=link_to_robot(settings, emit),
         journal=open_journal(settings.journal),
         live=open_live_page(settings, models),
-        bridges=bridges_to_others(settings, models),
+        bridges=bridges_to_others(settings, models, config),
     )
 
 
@@ -192,17 +196,21 @@ def make_labeller(settings: Settings, models: Mapping[str, Classifier], emit: Em
     return Labeller(emit, {name: model.labels for name, model in models.items()}, folders)
 
 
-def bridges_to_others(settings: Settings, models: Mapping[str, Classifier]) -> tuple[Bridge, ...]:
+def bridges_to_others(
+    settings: Settings, models: Mapping[str, Classifier], config: Path | None = None
+) -> tuple[Bridge, ...]:
     """Return the configured bridges; raises BridgeError."""
     if not any(settings.bridges.values()):
         return ()
     from touchd.daemon.bridges.bridges import make_bridges
+    from touchd.daemon.bridges.retained import file_for
 
     gestures = {
         name: pad.scene.gestures or tuple(label for label in models[name].labels if label != NO_TOUCH)
         for name, pad in settings.pads.items()
     }
-    return tuple(make_bridges(settings.bridges, gestures))
+    memory = file_for(config, JournalSettings().file.parent)
+    return tuple(make_bridges(settings.bridges, gestures, memory))
 
 
 def load_model(settings: Settings) -> Classifier:

@@ -8,6 +8,7 @@ import typing
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from pathlib import Path
 
 from touchd.daemon.config import Settings
 from touchd.daemon.events import LivePrediction
@@ -30,17 +31,17 @@ if typing.TYPE_CHECKING:
 class Service:
     """The daemon's loop and its parts. Raises TouchdError when the settings cannot be used.
 
-    events: where all of them pass through.
+    config: the file of the settings. events: where all of them pass through.
     """
 
-    def __init__(self, settings: Settings, health: Health) -> None:
+    def __init__(self, settings: Settings, health: Health, config: Path | None = None) -> None:
         self._settings = settings
         self._health = health
         self._more_sinks: tuple[Sink, ...] = ()
         self._view: View | None = None
         self._arrived = Signal()
         self.events = EventFanout()
-        self._parts = make_parts(settings, self.events.emit, self._viewers, self._arrived)
+        self._parts = make_parts(settings, self.events.emit, self._viewers, self._arrived, config)
 
     def tell(self, sink: Sink) -> None:
         """Send every event to this sink too, whatever the configuration. Call it before `run`."""

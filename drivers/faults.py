@@ -79,11 +79,16 @@ class FaultLog:
             self._log.debug("%s%s", self._prefix, what)
         return is_news
 
-    def end(self, kind: str, what: str = "", now_s: float | None = None) -> None:
-        """Note that a fault is over, if it lasted; `what`, if given, is logged with how long that was."""
+    def end(self, kind: str, what: str = "", now_s: float | None = None) -> bool:
+        """Note that a fault is over, if it lasted; `what`, if given, is logged with how long that was.
+
+        Returns whether that line is for users, as its warning was.
+        """
         now_s = time.monotonic() if now_s is None else now_s
         fault = self._faults[kind]
+        is_said = fault.lasts and bool(what) and fault.is_logged
         if fault.lasts and what:
             level = logging.INFO if fault.is_logged else logging.DEBUG
             self._log.log(level, "%s%s (after %.1f s)", self._prefix, what, now_s - fault.since_s)
         fault.lasts = False
+        return is_said

@@ -4,13 +4,17 @@ import gc
 import os
 import signal
 import sys
+import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 # Several workers share the cores; more than one thread of torch or numpy in each would only wait.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 # Otherwise commands would find the configuration of the person who runs the tests.
 os.environ["XDG_CONFIG_HOME"] = "/nonexistent"
+# Nor may they write what the daemon remembers into that person's home.
+os.environ["XDG_STATE_HOME"] = str(Path(tempfile.gettempdir()) / f"touchd-tests-state-{os.getuid()}")
 
 import pytest
 from xdist.scheduler import LoadFileScheduling

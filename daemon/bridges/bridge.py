@@ -114,8 +114,9 @@ class Bridge(QueuedSink[Item]):
         if not self._was_reported:
             self._log.info("%s: connected to %s", self.name, where)
         self._was_reported = True
-        for kind in (OUT_OF_REACH, AWAY):
-            self._faults.end(kind, f"connected to {where}")
+        # A peer that was away and then out of reach has come back once.
+        is_said = self._faults.end(AWAY, f"connected to {where}")
+        self._faults.end(OUT_OF_REACH, "" if is_said else f"connected to {where}")
 
     def _note_away(self, where: str, reason: str, kind: str = AWAY) -> None:
         """Note why the peer is away; called after each attempt to reach it."""
@@ -217,8 +218,8 @@ class ConnectedBridge(Bridge):
 class Allowance:
     """Limits a peer's bytes: `first` at once, `per_s` a second, and `for_each` for each message sent to it.
 
-    touchd subscribes to nothing, so a peer need not send much. Libraries keep or parse whatever it sends, so
-    its bytes are limited before a library sees them.
+    touchd subscribes to little or nothing, so a peer need not send much. Libraries keep or parse whatever it
+    sends, so its bytes are limited before a library sees them.
     """
 
     def __init__(self, first: int, for_each: int, per_s: float = 16.0) -> None:
@@ -228,9 +229,9 @@ class Allowance:
         self._counted_s = time.monotonic()
         self.is_spent = False
 
-    def sent(self) -> None:
-        """Note that a message was sent to the peer."""
-        self._left += self._for_each
+    def sent(self, echoed: int = 0) -> None:
+        """Note that a message was sent to the peer. echoed: bytes of it that the peer sends back."""
+        self._left += self._for_each + echoed
 
     def take(self, count: int) -> bool:
         """Count received bytes; returns whether they were allowed."""

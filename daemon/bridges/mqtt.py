@@ -1,7 +1,9 @@
 """Publishes events, the pad's state and, if configured, its pressure on an MQTT broker."""
 
+import math
 import secrets
 import ssl
+import time
 from collections import deque
 from collections.abc import Sequence
 from typing import Any
@@ -9,6 +11,7 @@ from typing import Any
 import msgspec
 import paho.mqtt.client as mqtt
 from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode, MQTTProtocolVersion
+from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
@@ -20,8 +23,9 @@ from touchd.daemon.bridges.bridge import (
     ConnectedBridge,
     arrival_s,
 )
+from touchd.daemon.bridges.retained import Retained
 from touchd.daemon.bridges.settings import MqttSettings
-from touchd.daemon.events import UNCERTAIN, Event, SensorEvent, encode, timestamp
+from touchd.daemon.events import UNCERTAIN, Event, SensorEvent, encode, kind_of, timestamp
 from touchd.drivers.errors import written_out
 from touchd.drivers.frame import Frame
 from touchd.drivers.whole_file import without_waiting
@@ -29,8 +33,18 @@ from touchd.drivers.whole_file import without_waiting
 KEEPALIVE_S = 10
 CONNECT_S = 3.0
 MAX_PASSWORD_BYTES = 4096
-# A broker greets, acknowledges each event in a few bytes, and answers a ping every few seconds.
-FIRST_BYTES, ACKNOWLEDGEMENT_BYTES = 16 * 1024, 64
+# A broker greets, acknowledges each event in a few bytes, answers a ping every few seconds, and passes
+# on what others publish to the few topics that touchd listens to.
+FIRST_BYTES, ACKNOWLEDGEMENT_BYTES, OTHERS_BYTES_PER_S = 16 * 1024, 64, 64.0
+# The broker does not pass on anything longer, in MQTT 5.
+LONGEST_RECEIVED = 8192
+# State and announcement are published again at this interval: a broker may have lost what it retained.
+AGAIN_S = 120.0
+# A broker that passes nothing back must not make this grow.
+MOST_ECHOES = 100
+STOPPED, LOST = "stopped", "lost"
+HOME_ASSISTANT_IS_THERE = b"online"
+TWO_WRITERS = "two writers"
 # Home Assistant's template: told answers only, with the gesture as the event's type.
 TO_HOME_ASSISTANT = (
     "{% if value_json.type == 'prediction' and value_json.told %}"
@@ -43,14 +57,30 @@ class MqttBridge(ConnectedBridge):
     """Publishes each event with QoS 1, one at a time and in order, and the state as a retained message.
 
     The state is the pad's (see `SensorEvent`), "stopped" (touchd has ended) or, as the last will, "lost". The
-    bridge uses MQTT 5, in which a broker says what it refuses, and 3.1.1 with brokers that lack MQTT 5.
+    bridge listens to it: if another daemon's end, a late last will or a person's deletion replaces the state,
+    it is published again. The bridge uses MQTT 5, in which a broker says what it refuses and how large a
+    message may be, and 3.1.1 with brokers that lack MQTT 5.
+    retained: what an earlier configuration left on the broker, for this bridge to clear.
     """
 
-    def __init__(self, settings: MqttSettings, pad: str, labels: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        settings: MqttSettings,
+        pad: str,
+        labels: Sequence[str] = (),
+        retained: Retained | None = None,
+    ) -> None:
         self._settings = settings
+        self._retained = retained
+        self._former = tuple(retained.former) if retained else ()
         self._labels = labels
         self._topic = f"{settings.topic}/{pad}"
+        self._state_topic, *announced = retained_topics(settings, pad)
+        # None if nothing is announced.
+        self._announcement_topic = next(iter(announced), None)
         self._state = "down"
+        # Own states that the broker has not passed back, maybe over the next connection.
+        self._echoes: deque[str] = deque(maxlen=MOST_ECHOES)
         self._version = MQTTProtocolVersion.MQTTv5
         # The client id lets a new connection replace the lost one, whose last will the broker still holds.
         self._client_id = f"touchd-{secrets.token_hex(8)}"
@@ -61,17 +91,23 @@ class MqttBridge(ConnectedBridge):
 
     def hold(self) -> str:
         client = _Client(self._client_id, self._version)
-        client.will_set(f"{self._topic}/state", "lost", qos=1, retain=True)
+        client.will_set(self._state_topic, LOST, qos=1, retain=True)
         if self._settings.user is not None:
             client.username_pw_set(self._settings.user, self._password())
         if self._tls is not None:
             client.tls_set_context(self._tls)
         client.on_connect = self._on_connect
         client.on_publish = self._on_publish
-        client.connect(self._settings.host, self._settings.port, KEEPALIVE_S)
+        client.on_message = self._on_message
+        properties = None
+        if self._version == MQTTProtocolVersion.MQTTv5:
+            properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+            properties.MaximumPacketSize = LONGEST_RECEIVED
+        client.connect(self._settings.host, self._settings.port, KEEPALIVE_S, properties=properties)
         self._client = client
         while client.loop(1.0) == MQTTErrorCode.MQTT_ERR_SUCCESS:
-            pass
+            if time.monotonic() >= client.again_s:
+                self._publish_retained(client)
         if not client.was_greeted:
             is_5 = self._version == MQTTProtocolVersion.MQTTv5
             self._version = MQTTProtocolVersion.MQTTv311 if is_5 else MQTTProtocolVersion.MQTTv5
@@ -85,7 +121,10 @@ class MqttBridge(ConnectedBridge):
             return False
         if isinstance(event, SensorEvent):
             self._publish_state(client)
-        return self._await(client, client.publish(f"{self._topic}/event", encode(event), qos=1))
+        payload = encode(event)
+        if not self._fits(client, f"{self._topic}/event", payload, kind_of(event)):
+            return True
+        return self._await(client, client.publish(f"{self._topic}/event", payload, qos=1))
 
     def send_frame(self, frame: Frame, pad: str) -> None:
         client = self._client
@@ -97,13 +136,16 @@ class MqttBridge(ConnectedBridge):
         if len(client.frames) >= MOST_FRAMES:
             self._items.dropped += 1
             return
-        info = client.publish(f"{self._topic}/pressure", _pressure(frame))
+        payload = _pressure(frame)
+        if not self._fits(client, f"{self._topic}/pressure", payload, "pressure", qos=0):
+            return
+        info = client.publish(f"{self._topic}/pressure", payload)
         if info.rc == MQTTErrorCode.MQTT_ERR_SUCCESS:
             client.frames.append(info)
 
     def close(self) -> None:
         if self._peer_is_there.is_set() and (client := self._client):
-            self._state = "stopped"
+            self._state = STOPPED
             self._await(client, self._publish_state(client))
         super().close()
 
@@ -125,20 +167,86 @@ class MqttBridge(ConnectedBridge):
         if code.is_failure:
             client.why = _words(code, properties)
             return
-        if self._settings.discovery is not None:
-            topic, payload = discovery(self._settings.discovery, self._topic, self._labels)
-            client.publish(topic, payload, qos=1, retain=True)
-        self._publish_state(client)
+        client.longest_packet = getattr(properties, "MaximumPacketSize", None)
+        topics = [self._state_topic, *self._former]
+        if self._announcement_topic is not None:
+            topics += [self._announcement_topic, f"{self._settings.discovery}/status"]
+        client.subscribe([(topic, 0) for topic in topics])
+        for topic in self._former:
+            client.clearing[client.publish(topic, b"", qos=1, retain=True).mid] = topic
+        self._publish_retained(client)
         self.connected()
 
+    def _on_message(self, client: mqtt.Client, _data: Any, message: mqtt.MQTTMessage) -> None:
+        """Publish again what others have replaced, and notice another writer."""
+        assert isinstance(client, _Client)
+        if message.topic == self._state_topic:
+            self._see_state(client, message)
+        elif message.topic == self._announcement_topic:
+            if not message.payload:
+                self._publish_announcement(client)
+        elif message.topic not in self._former:
+            if message.payload == HOME_ASSISTANT_IS_THERE:
+                self._publish_retained(client)
+        # The broker publishes the last will of a killed daemon only after a while.
+        elif message.payload == LOST.encode():
+            client.publish(message.topic, b"", qos=1, retain=True)
+
+    def _see_state(self, client: "_Client", message: mqtt.MQTTMessage) -> None:
+        state = message.payload.decode(errors="replace")
+        if state in self._echoes:
+            self._echoes.remove(state)
+        # As it was before this connection.
+        elif message.retain:
+            return
+        elif state in ("", STOPPED, LOST):
+            self._faults.end(TWO_WRITERS)
+            self._publish_state(client)
+        else:
+            self._faults.begin(
+                TWO_WRITERS,
+                f"another touchd publishes to {self._topic}, too; give each its own mqtt.topic",
+            )
+
     def _on_publish(
-        self, client: mqtt.Client, _data: Any, _mid: int, code: ReasonCode, properties: Properties | None
+        self, client: mqtt.Client, _data: Any, mid: int, code: ReasonCode, properties: Properties | None
     ) -> None:
+        assert isinstance(client, _Client)
+        former = client.clearing.pop(mid, None)
         if code.is_failure:
             self._note_refused(_words(code, properties))
+        elif former is not None and self._retained is not None:
+            self._retained.cleared(former)
+
+    def _publish_retained(self, client: "_Client") -> None:
+        client.again_s = time.monotonic() + AGAIN_S
+        self._publish_announcement(client)
+        self._publish_state(client)
+
+    def _publish_announcement(self, client: "_Client") -> None:
+        topic = self._announcement_topic
+        if topic is None or not client.takes_announcement:
+            return
+        payload = announcement(self._topic, self._labels)
+        client.takes_announcement = self._fits(client, topic, payload, "announcement to Home Assistant")
+        if client.takes_announcement:
+            client.allowance.sent(len(topic) + len(payload))
+            client.publish(topic, payload, qos=1, retain=True)
 
     def _publish_state(self, client: "_Client") -> mqtt.MQTTMessageInfo:
-        return client.publish(f"{self._topic}/state", self._state, qos=1, retain=True)
+        client.allowance.sent(len(self._state_topic) + len(self._state))
+        self._echoes.append(self._state)
+        return client.publish(self._state_topic, self._state, qos=1, retain=True)
+
+    def _fits(self, client: "_Client", topic: str, payload: bytes, what: str, qos: int = 1) -> bool:
+        """Whether the broker takes a message of this size; one that is too large is counted as refused."""
+        # The topic with its length, the packet's number and properties, then the fixed header.
+        rest = 2 + len(topic.encode()) + (2 if qos else 0) + 1 + len(payload)
+        size = 1 + -(-rest.bit_length() // 7) + rest
+        if client.longest_packet is None or size <= client.longest_packet:
+            return True
+        self._note_refused(f"{what}: {size} bytes, and the broker takes {client.longest_packet} at most")
+        return False
 
     def _await(self, client: "_Client", info: mqtt.MQTTMessageInfo) -> bool:
         """Wait until the broker has acknowledged or refused a message; False if the connection ends first."""
@@ -153,12 +261,20 @@ class MqttBridge(ConnectedBridge):
 
 
 class _Client(mqtt.Client):
-    """A paho client for one connection. why: reason for its end. frames: not yet written by paho."""
+    """A paho client for one connection.
+
+    why: reason for its end. frames: not yet written by paho. again_s: when state and announcement are due.
+    clearing: former topics by message number. longest_packet: that the broker takes, None: any.
+    """
 
     def __init__(self, name: str, version: MQTTProtocolVersion) -> None:
         super().__init__(CallbackAPIVersion.VERSION2, name, protocol=version, reconnect_on_failure=False)
         self.connect_timeout = CONNECT_S
-        self.allowance = Allowance(FIRST_BYTES, ACKNOWLEDGEMENT_BYTES)
+        self.allowance = Allowance(FIRST_BYTES, ACKNOWLEDGEMENT_BYTES, OTHERS_BYTES_PER_S)
+        self.again_s = math.inf
+        self.clearing: dict[int, str] = {}
+        self.longest_packet: int | None = None
+        self.takes_announcement = True
         self.frames: deque[mqtt.MQTTMessageInfo] = deque()
         self.was_greeted = self.has_ended = False
         self.why = ""
@@ -178,7 +294,7 @@ class _Client(mqtt.Client):
     ) -> None:
         self.has_ended = True
         if self.allowance.is_spent:
-            self.why = "it sends messages, and touchd subscribes to none"
+            self.why = "it sends more than touchd asks for"
         elif flags.is_disconnect_packet_from_server or code.getName() == "Keep alive timeout":
             self.why = _words(code, properties)
         elif not self.why and self.was_greeted:
@@ -194,9 +310,21 @@ def _words(code: ReasonCode, properties: Properties | None) -> str:
     return f"{code}: {said}" if said else str(code)
 
 
-def discovery(prefix: str, topic: str, labels: Sequence[str]) -> tuple[str, bytes]:
-    """Return topic and payload that announce a pad to Home Assistant as an event entity."""
-    name = topic.replace("/", "_")
+def retained_topics(settings: MqttSettings, pad: str) -> list[str]:
+    """Return the topics of a pad's retained messages: its state and, if announced, its announcement."""
+    topic = f"{settings.topic}/{pad}"
+    if settings.discovery is None:
+        return [f"{topic}/state"]
+    return [f"{topic}/state", f"{settings.discovery}/event/{_entity(topic)}/config"]
+
+
+def _entity(topic: str) -> str:
+    return topic.replace("/", "_")
+
+
+def announcement(topic: str, labels: Sequence[str]) -> bytes:
+    """Return what announces a pad to Home Assistant as an event entity."""
+    name = _entity(topic)
     payload = {
         "name": None,
         "unique_id": name,
@@ -208,7 +336,7 @@ def discovery(prefix: str, topic: str, labels: Sequence[str]) -> tuple[str, byte
         "device": {"identifiers": [name], "name": topic, "manufacturer": "touchd"},
         "icon": "mdi:hand-heart",
     }
-    return f"{prefix}/event/{name}/config", msgspec.json.encode(payload)
+    return msgspec.json.encode(payload)
 
 
 def _pressure(frame: Frame) -> bytes:

@@ -114,7 +114,7 @@ def main(arguments: Sequence[str]) -> int:
         closing.callback(signals.ignore)
         notifier = Notifier(os.environ)
         closing.callback(notifier.close)
-        service = Service(settings, Health(notifier))
+        service = Service(settings, Health(notifier), found.file)
         service.events.tags = tags
         closing.enter_context(TagServer(service.events))
         favour_latency()

@@ -23,8 +23,9 @@ from rigs.sockets import free_port
 from rigs.wait import WITHIN_S, wait_for
 
 from touchd.daemon.bridges.bridge import Bridge, BridgeError
+from touchd.daemon.bridges.retained import Retained
 from touchd.daemon.bridges.settings import MqttSettings
-from touchd.daemon.config import SceneSettings, Settings
+from touchd.daemon.config import PadSettings, SceneSettings, Settings
 from touchd.daemon.events import SensorEvent, decode, encode
 from touchd.daemon.parts import bridges_to_others
 
@@ -33,6 +34,12 @@ pytestmark = needs_mosquitto
 
 MODELS = {"pad": Scripted()}
 UP = SensorEvent(state="up", time="2026-11-20T10:00:00.000Z")
+
+
+@pytest.fixture(autouse=True)
+def own_state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Remember retained topics in a folder of the test."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
 
 
 @pytest.fixture
@@ -242,6 +249,176 @@ def test_home_assistant_gets_told_answers_as_events(port: int, opened: Open) -> 
     available = jinja2.Environment().from_string(entity["availability_template"])
     states = ("up", "degraded", "down", "stopped", "lost")
     assert [available.render(value=state) for state in states] == ["online"] * 2 + ["offline"] * 3
+
+
+def publish(port: int, topic: str, payload: str, retain: bool = True) -> None:
+    """Publish as another program would."""
+    import paho.mqtt.publish
+
+    paho.mqtt.publish.single(topic, payload, 1, retain, "127.0.0.1", port)
+
+
+def all_retained(port: int) -> dict[str, str]:
+    """Return the broker's retained messages by topic."""
+    with subscribed(port, "#") as messages:
+        publish(port, "end", "", retain=False)
+        wait_for(lambda: any(message.topic == "end" for message in messages))
+    return {message.topic: message.payload.decode() for message in messages if message.retain}
+
+
+ANNOUNCED = "homeassistant/event/touchd_pad/config"
+
+
+@pytest.mark.parametrize("change", ["pad", "topic", "discovery"])
+def test_what_a_former_configuration_left_is_cleared(port: int, change: str) -> None:
+    before = Settings(mqtt=MqttSettings(host="127.0.0.1", port=port, discovery="homeassistant"))
+    assert before.mqtt is not None
+    after = {
+        "pad": Settings(mqtt=before.mqtt, sensors={"arm": PadSettings(port="/dev/arm")}),
+        "topic": Settings(mqtt=msgspec.structs.replace(before.mqtt, topic="lab/nao1")),
+        "discovery": Settings(mqtt=msgspec.structs.replace(before.mqtt, discovery=None)),
+    }[change]
+    topics = {
+        "pad": {"touchd/arm/state", "homeassistant/event/touchd_arm/config"},
+        "topic": {"lab/nao1/pad/state", "homeassistant/event/lab_nao1_pad/config"},
+        "discovery": {"touchd/pad/state"},
+    }[change]
+    publish(port, "lab/other/pad/state", "up")
+    for settings, wanted in ((before, {"touchd/pad/state", ANNOUNCED}), (after, topics)):
+        (bridge,) = bridges_to_others(settings, {"pad": Scripted(), "arm": Scripted()}, Path("/etc/a.yaml"))
+        bridge.start()
+        wait_for(lambda wanted=wanted: all_retained(port).keys() == {*wanted, "lab/other/pad/state"})
+        bridge.stop(2.0)
+
+
+def test_the_late_last_will_of_a_former_configuration_is_cleared(port: int) -> None:
+    for topic in ("old", "new"):
+        settings = Settings(mqtt=MqttSettings(host="127.0.0.1", port=port, topic=topic))
+        (bridge,) = bridges_to_others(settings, MODELS, Path("/etc/b.yaml"))
+        bridge.start()
+        wait_for(lambda topic=topic: all_retained(port).keys() == {f"{topic}/pad/state"})
+        if topic == "new":
+            publish(port, "old/pad/state", "lost")
+            wait_for(lambda: all_retained(port).keys() == {"new/pad/state"})
+        bridge.stop(2.0)
+
+
+def test_another_configuration_of_this_computer_is_not_cleared(port: int) -> None:
+    bridges: list[Bridge] = []
+    for topic in ("one", "two"):
+        settings = Settings(mqtt=MqttSettings(host="127.0.0.1", port=port, topic=topic))
+        bridges += bridges_to_others(settings, MODELS, Path(f"/etc/{topic}.yaml"))
+    for bridge in bridges:
+        bridge.start()
+        bridge.put(UP)
+    wait_for(lambda: all_retained(port) == {"one/pad/state": "up", "two/pad/state": "up"})
+    for bridge in bridges:
+        bridge.stop(2.0)
+    assert all_retained(port) == {"one/pad/state": "stopped", "two/pad/state": "stopped"}
+
+
+def test_a_damaged_memory_of_topics_does_not_matter(port: int, tmp_path: Path) -> None:
+    for content in (b"", b"\0" * 100, b'{"a": 1}', b"[" * 100_000):
+        (tmp_path / "mqtt.json").write_bytes(content)
+        assert Retained(tmp_path / "mqtt.json", "a:1", ["b"]).former == []
+    assert Retained(tmp_path / "mqtt.json", "a:1", ["c"]).former == ["b"]
+    assert Retained(Path("/proc/no/mqtt.json"), "a:1", ["c"]).former == []
+
+
+@pytest.mark.parametrize("ending", ["stopped", "lost", ""])
+def test_the_living_daemons_state_stands(port: int, opened: Open, ending: str) -> None:
+    bridge = opened(discovery="homeassistant")
+    bridge.put(UP)
+    wait_for(lambda: all_retained(port).get("touchd/pad/state") == "up")
+    publish(port, "touchd/pad/state", ending)
+    wait_for(lambda: all_retained(port).get("touchd/pad/state") == "up")
+    publish(port, ANNOUNCED, "")
+    wait_for(lambda: ANNOUNCED in all_retained(port))
+
+
+def test_two_daemons_on_one_topic_are_noticed(
+    port: int, opened: Open, caplog: pytest.LogCaptureFixture
+) -> None:
+    opened().put(UP)
+    wait_for(lambda: all_retained(port) == {"touchd/pad/state": "up"})
+    other = opened()
+    other.put(UP)
+    wait_for(lambda: "another touchd publishes to touchd/pad, too" in caplog.text)
+    other.stop(2.0)
+    wait_for(lambda: all_retained(port) == {"touchd/pad/state": "up"})
+    # Each of them says it once.
+    assert caplog.text.count("another touchd") <= 2
+
+
+def test_one_daemon_alone_is_not_two(port: int, opened: Open, caplog: pytest.LogCaptureFixture) -> None:
+    bridge = opened(discovery="homeassistant")
+    for number in range(1, 30):
+        bridge.put(SensorEvent(state="up" if number % 2 else "degraded", time=UP.time))
+    publish(port, "homeassistant/status", "online", retain=False)
+    wait_for(lambda: all_retained(port).get("touchd/pad/state") == "up" and not len(bridge._items))
+    assert "another touchd" not in caplog.text
+
+
+def test_home_assistants_start_is_answered(port: int, opened: Open) -> None:
+    opened(discovery="homeassistant")
+    wait_for(lambda: ANNOUNCED in all_retained(port))
+    with subscribed(port, "#") as messages:
+        wait_for(lambda: len(messages) >= 2)
+        messages.clear()
+        publish(port, "homeassistant/status", "online", retain=False)
+        wait_for(lambda: {message.topic for message in messages} >= {ANNOUNCED, "touchd/pad/state"})
+
+
+def test_state_and_announcement_come_again(port: int, opened: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("touchd.daemon.bridges.mqtt.AGAIN_S", 0.5)
+    opened(discovery="homeassistant")
+    with subscribed(port, "#") as messages:
+        wait_for(lambda: len(payloads(messages, "touchd/pad/state")) >= 3)
+        assert len(payloads(messages, ANNOUNCED)) >= 2
+
+
+def test_what_the_broker_cannot_take_is_dropped_at_once(
+    tmp_path: Path, opened: Open, caplog: pytest.LogCaptureFixture
+) -> None:
+    port = free_port()
+    lines = "allow_anonymous true\nmax_packet_size 250\n"
+    with broker(tmp_path, port, lines), subscribed(port, "touchd/pad/event") as messages:
+        bridge = opened(port, discovery="homeassistant")
+        for number in range(1, 21):
+            bridge.put(touch(number))
+            bridge.put(PREDICTION)
+        wait_for(lambda: len(messages) == 20)
+        # The announcement, too.
+        assert bridge.refused == 21
+        assert bridge._connection_number == 1
+        # To the byte.
+        fits = 250 - len("touchd/pad/event") - 8
+        size = len(encode(SensorEvent(state="up", time=UP.time, reason="")))
+        for extra in (0, 1):
+            bridge.put(SensorEvent(state="up", time=UP.time, reason="x" * (fits - size + extra)))
+        wait_for(lambda: bridge.refused == 22)
+        wait_for(lambda: len(messages) == 21)
+        assert len(messages[-1].payload) == fits
+        bridge.stop(2.0)
+    assert "the broker takes 250 at most" in caplog.text
+    assert "is away" not in caplog.text
+
+
+def test_a_return_of_the_broker_is_said_once(
+    tmp_path: Path, opened: Open, caplog: pytest.LogCaptureFixture
+) -> None:
+    port = free_port()
+    with caplog.at_level("INFO"):
+        with broker(tmp_path, port):
+            bridge = opened(port)
+            wait_for(lambda: "connected to" in caplog.text)
+        wait_for(lambda: "cannot be reached" in caplog.text)
+        caplog.clear()
+        with broker(tmp_path, port):
+            wait_for(bridge._peer_is_there.is_set)
+            time.sleep(0.3)
+            bridge.stop(2.0)
+    assert caplog.text.count("connected to") == 1
 
 
 @pytest.mark.slow
