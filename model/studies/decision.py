@@ -52,7 +52,7 @@ MOST_HARMED = 0.02
 AS_GOOD = 0.005
 """Half a point: two of 492 touches."""
 EARLY_S = 0.9
-LABELS_AT = ((0.75, 85.5), (1.1, 80.2), (1.1, 69.5))
+LABELS_AT = ((1.0, 89.4), (1.1, 80.2), (1.1, 68.0))
 """Places of the left panel's labels: seconds, percent."""
 HAART, TEST, SECOND, THIRD = "HAART held out", "HAART test", "second study", "third study"
 
@@ -431,7 +431,7 @@ def draw(measured: Measured, path: Path) -> None:
         left.plot(*zip(*points, strict=True), "o-", color=colour, markersize=4)
         left.annotate(title, LABELS_AT[place], color=colour)
     left.set(xlabel="mean time to the answer, s", ylabel="macro accuracy on the test participants, %")
-    left.set(xlim=(0, 2.8), ylim=(55, 90))
+    left.set(xlim=(0, 2.8), ylim=(55, 92))
     margin = measured.default.revise_margin
     for colour, (title, study) in zip(
         ("#1f5fa8", "#2a8a57", "#7a3f98", "#c4611a"), measured.studies.items(), strict=False
@@ -449,7 +449,7 @@ def draw(measured: Measured, path: Path) -> None:
         dot = (100 * p.told_early, 100 * p.right_when_told_early)
         name = f"{p.speak_above:.2g}"
         right.annotate(name, dot, xytext=(-4, -12), textcoords="offset points", ha="right", fontsize=8)
-    right.set(xlabel="touches told after 1 s, %", ylabel="right when told, %", xlim=(0, 125))
+    right.set(xlabel="touches told after 1 s, %", ylabel="right when told, %", xlim=(0, 140))
     right.set_xticks(range(0, 101, 20))
     for axes in (left, right):
         axes.spines[["top", "right"]].set_visible(False)
