@@ -42,8 +42,11 @@ unknown='$(filter-out nao live $(OTHER_EXTRAS),$(WANTED))'; test -z "$$unknown" 
   { echo "there is no extra $$unknown; EXTRAS takes $(OTHER_EXTRAS)"; exit 1; }
 endef
 
-# Without an NVIDIA GPU: torch for the processor alone, without some gigabytes of CUDA.
+# Where development gets torch: without an NVIDIA GPU, from the index of the build for processors alone, 1 GB on the
+# disk. TORCH_INDEX= (empty) takes the build with CUDA, 6 GB, from the ordinary index, as for a machine that reaches
+# no other.
 TORCH_ON_CPU := https://download.pytorch.org/whl/cpu
+TORCH_INDEX ?= $(if $(shell command -v nvidia-smi),,$(TORCH_ON_CPU))
 RUNTIME := $(VENV)/.runtime.stamp
 DEVELOPMENT := $(VENV)/.development.stamp
 
@@ -219,8 +222,9 @@ $(RUNTIME): pyproject.toml requirements.lock | $(BIN)/python
 
 $(DEVELOPMENT): pyproject.toml constraints.txt | $(BIN)/python
 	@echo "Installing what development and training need (once; some minutes)"
-	@command -v nvidia-smi >/dev/null || $(PIP) -qq --retries 1 --timeout 10 --no-deps --constraint constraints.txt \
-	  --index-url $(TORCH_ON_CPU) torch 2>/dev/null || echo "$(TORCH_ON_CPU) gave no torch for this Python: installing the usual one, with CUDA"
+	@test -n '$(TORCH_INDEX)' && echo "torch from $(TORCH_INDEX): 1 GB on the disk" && \
+	  $(PIP) -qq --retries 1 --timeout 10 --no-deps --constraint constraints.txt --index-url $(TORCH_INDEX) torch 2>/dev/null || \
+	  echo "torch from the ordinary index, with CUDA: 6 GB on the disk; Ctrl-C stops it"
 	@$(PIP) -qq --constraint constraints.txt --editable '.[dev]'
 	@mkdir -p $(VENV)/names && ln -sfn ../.. $(VENV)/names/touchd
 	@touch $(RUNTIME) $@

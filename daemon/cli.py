@@ -123,11 +123,12 @@ def _discard_output() -> None:
 
 def _complain(error: Exception) -> int:
     """Write one line about an error that a command raised; returns the exit code."""
-    from touchd.drivers.installed import extra_of, how_to_install
+    from touchd.drivers.installed import SIZES, extra_of, how_to_install
 
     what, code = str(error), USERS_MISTAKE
     if isinstance(error, ModuleNotFoundError) and (extra := extra_of(error.name or "")):
-        what = f"{error.name} is not installed (extra {extra}): {how_to_install(extra)}"
+        size = f", {SIZES[extra]} on the disk" if extra in SIZES else ""
+        what = f"{error.name} is not installed (extra {extra}{size}): {how_to_install(extra)}"
     elif isinstance(error, ImportError) and (library := NOT_THERE.search(str(error))):
         what = f"{library[1]}, a library of the system, is not there; install the package that brings it"
     elif isinstance(error, OSError) and error.errno == errno.ENOSPC:

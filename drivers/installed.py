@@ -25,8 +25,11 @@ EXTRAS = {
     "train": ("torch", "onnx", "scipy", "tqdm"),
     "studies": ("onnxscript", "sklearn", "mlxtend"),
 }
-# The build of torch for processors alone; the build on PyPI brings gigabytes of CUDA.
+# The build of torch for processors alone. It is the only index for torch: if it were one of two and out of
+# reach, pip would take the build on PyPI, with gigabytes of CUDA.
 TORCH_ON_CPU = "https://download.pytorch.org/whl/cpu"
+# On the disk, where it is worth knowing before the installation begins.
+SIZES = {"train": "about 1 GB"}
 
 
 def extra_of(module: str) -> str | None:
@@ -43,21 +46,26 @@ def installed() -> list[str]:
 def how_to_install(extra: str) -> str:
     """Return the shell command that adds an extra, with the tool by which touchd was installed."""
     here = Path(sys.prefix)
-    pips, uvs = [], []
-    if extra == "train":
-        pips, uvs = ["--extra-index-url", TORCH_ON_CPU], ["--torch-backend", "cpu"]
+    uvs = ["--torch-backend", "cpu"] if extra == "train" else []
     if (here / "uv-receipt.toml").exists():
         # uv installs a tool as a whole: it removes extras that the command does not name.
         extras = ",".join(sorted({*installed(), extra}))
         return shlex.join(["uv", "tool", "install", *uvs, f"touchd[{extras}]{_source()}"])
     wanted = _requirements(extra)
-    if (here / "pipx_metadata.json").exists():
-        arguments = [f"--pip-args={' '.join(pips)}"] if pips else []
-        return shlex.join(["pipx", "inject", *arguments, here.name, *wanted])
     sudo = [] if os.access(here, os.W_OK) else ["sudo"]
+    if (here / "pipx_metadata.json").exists():
+        return _with_torch_alone(["pipx", "inject"], wanted, [here.name], "--pip-args=--index-url {}")
     if importlib.util.find_spec("pip") is None:
         return shlex.join([*sudo, "uv", "pip", "install", "--python", sys.executable, *uvs, *wanted])
-    return shlex.join([*sudo, sys.executable, "-m", "pip", "install", *pips, *wanted])
+    return _with_torch_alone([*sudo, sys.executable, "-m", "pip", "install"], wanted, [], "--index-url={}")
+
+
+def _with_torch_alone(install: Sequence[str], wanted: Sequence[str], into: Sequence[str], index: str) -> str:
+    """Return the command that installs requirements, torch before the others and from its own index."""
+    torch = [requirement for requirement in wanted if requirement.startswith("torch")]
+    others = [requirement for requirement in wanted if requirement not in torch]
+    commands = [[*install, index.format(TORCH_ON_CPU), *into, *torch]] if torch else []
+    return " && ".join(shlex.join(command) for command in (*commands, [*install, *into, *others]))
 
 
 def _requirements(extra: str) -> Sequence[str]:

@@ -75,8 +75,8 @@ def test_a_missing_extra_is_named_with_what_installs_it() -> None:
     ("marker", "said"),
     [
         ("uv-receipt.toml", "uv tool install --torch-backend cpu 'touchd["),
-        ("pipx_metadata.json", f"pipx inject '--pip-args=--extra-index-url {TORCH_ON_CPU}' touchd 'torch>="),
-        ("pyvenv.cfg", f"{sys.executable} -m pip install --extra-index-url {TORCH_ON_CPU} 'torch>="),
+        ("pipx_metadata.json", f"pipx inject '--pip-args=--index-url {TORCH_ON_CPU}' touchd 'torch>="),
+        ("pyvenv.cfg", f"{sys.executable} -m pip install --index-url={TORCH_ON_CPU} 'torch>="),
     ],
 )
 def test_torch_for_learning_is_the_one_for_the_processor(
@@ -85,7 +85,12 @@ def test_torch_for_learning_is_the_one_for_the_processor(
     (tmp_path / "touchd").mkdir()
     (tmp_path / "touchd" / marker).touch()
     monkeypatch.setattr(sys, "prefix", str(tmp_path / "touchd"))
-    assert how_to_install("train").startswith(said)
+    command = how_to_install("train")
+    assert command.startswith(said)
+    # No other index is asked for torch, and torch's own has nothing else.
+    assert "extra-index" not in command
+    for part in command.split(" && "):
+        assert ("torch>=" in part) == ("index-url" in part)
 
 
 def test_the_services_own_python_needs_sudo(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -337,3 +337,38 @@ def test_the_installed_program_runs(make: Make, tmp_path: Path, source: Path) ->
     assert done.returncode == 0, done.stderr
     make("uninstall")
     assert files_in(tmp_path / "opt") == set()
+
+
+@pytest.mark.parametrize(
+    ("index", "said", "asked"),
+    [
+        (
+            "TORCH_INDEX=http://reached",
+            ["torch from http://reached: 1 GB"],
+            ["http://reached", "constraints.txt"],
+        ),
+        (
+            "TORCH_INDEX=http://away",
+            ["torch from http://away: 1 GB", "torch from the ordinary index, with CUDA: 6 GB"],
+            ["http://away", "constraints.txt"],
+        ),
+        ("TORCH_INDEX=", ["torch from the ordinary index, with CUDA: 6 GB"], ["constraints.txt"]),
+    ],
+)
+def test_development_says_how_large_torch_is_first(
+    make: Make, tmp_path: Path, index: str, said: list[str], asked: list[str]
+) -> None:
+    # Stands in for pip: the first index cannot be reached.
+    python = tmp_path / "venv/bin/python"
+    python.parent.mkdir(parents=True)
+    python.write_text(
+        f'#!/bin/sh\necho "$@" >> {tmp_path}/asked\ncase "$*" in *http://away*) exit 1;; esac\n'
+    )
+    python.chmod(0o755)
+    printed = make(f"{tmp_path}/venv/.development.stamp", f"VENV={tmp_path}/venv", index)
+    lines = [line for line in printed.splitlines() if "torch" in line]
+    assert len(lines) == len(said)
+    assert all(line.startswith(part) for part, line in zip(said, lines, strict=True))
+    calls = (tmp_path / "asked").read_text().splitlines()
+    assert len(calls) == len(asked)
+    assert all(part in call for part, call in zip(asked, calls, strict=True))
