@@ -32,7 +32,7 @@ log = logging.getLogger(__name__)
 
 # Interval at which lasting faults are noted again, by the frames' arrival.
 NOTE_S = 1.0
-# With these no touch, or no light one, is recognised; other faults cost a part of the pad or some frames.
+# Faults that prevent detection, of light touches at least; others cost a part of the pad or some frames.
 DEGRADING = ("gaps", "frozen", "noise")
 
 # Recognising a touch takes half a second of frames without a gap. If DEAF_S pass without it, that is a fault.
@@ -42,13 +42,13 @@ DEAF_S = 3.0
 PAUSE_S = 2.0
 
 # Interval at which the parser's counts are compared. One lost frame in fifty is a fault that will grow.
-LOOK_S = 10.0
+COMPARE_S = 10.0
 MANY_SHARE = 0.02
 
 # Rest is checked nine times a second. The noise measured while a hand leaves is too high, and falls within
 # three seconds; a pad counts as noisy after five.
 REST_FRAMES = 6
-NOISY_LOOKS = round(5 * FRAME_RATE_HZ / REST_FRAMES)
+NOISY_CHECKS = round(5 * FRAME_RATE_HZ / REST_FRAMES)
 
 # The share of frames, averaged over 2 s, in which a taxel changes: mostly above one half on a sound pad.
 # If a taxel stops changing, it counts as still after about 8 s, and as lively half a second after it moves.
@@ -192,21 +192,21 @@ class _LineFaults:
         self._parser = parser
         self._where = where
         self._before = replace(parser.counts)
-        self._looked_s = -math.inf
+        self._compared_s = -math.inf
 
     def update(self, now_s: float) -> None:
-        """Compare the counts every LOOK_S of arrival; look at the clock each time."""
+        """Compare the counts every COMPARE_S of arrival; look at the clock each time."""
         note = self._parser.clock.note
         if note and "clock" not in self.faults:
             self.faults["clock"] = f"{self._where}: {note}"
         elif not note and "clock" in self.faults:
             del self.faults["clock"]
-        passed_s = now_s - self._looked_s
-        if passed_s < LOOK_S:
+        passed_s = now_s - self._compared_s
+        if passed_s < COMPARE_S:
             return
         counts, before = replace(self._parser.counts), self._before
-        self._before, self._looked_s = counts, now_s
-        if passed_s > 2 * LOOK_S:
+        self._before, self._compared_s = counts, now_s
+        if passed_s > 2 * COMPARE_S:
             # The first frames, or those after a pause, which is reported elsewhere.
             return
         for kind in ("line", "full scale"):
@@ -232,12 +232,12 @@ class _Rest:
 
     def __init__(self) -> None:
         self.faults: dict[str, str] = {}
-        self._other_looks = 0
+        self._other_checks = 0
 
     def update(self, is_noisy: bool, loose_lines: Sequence[str]) -> None:
-        self._other_looks = self._other_looks + 1 if is_noisy != ("noise" in self.faults) else 0
-        if self._other_looks >= NOISY_LOOKS:
-            self._other_looks = 0
+        self._other_checks = self._other_checks + 1 if is_noisy != ("noise" in self.faults) else 0
+        if self._other_checks >= NOISY_CHECKS:
+            self._other_checks = 0
             if is_noisy:
                 self.faults["noise"] = (
                     "light touches are not recognised: the pad is noisy though nobody touches it; a motor, "

@@ -59,6 +59,7 @@ LONGEST = (
     "test_search.py",
     "test_end_to_end.py",
     "test_scores.py",
+    "test_streams.py",
     "test_first_day.py",
     "test_pipeline.py",
     "test_doctor_line.py",

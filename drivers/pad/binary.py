@@ -2,9 +2,9 @@
 
 Which frames are intact: read from the left, a window of one frame's length is well-formed if it begins with
 the header and its checksum, if any, is right; the sensor's clock, if any, then decides (see `clock.py`).
-Some windows are well-formed only if another header follows them, because lost bytes look the same: those with
-values above full scale and, without a checksum, those that contain the header again and, if the header is
-short, the first one after a gap.
+Require a following header of windows that lost bytes could have made: those with values above full scale
+and, without a checksum, those that contain the header again and, if the header is short, the first one after
+a gap.
 Refusing a window skips only its first byte, so that a true frame that begins inside it is found. Some
 damage cannot be detected: the fabric pad's checksum sums low bytes only, so a flip in the upper byte of a
 value passes.

@@ -27,7 +27,7 @@ FIRST_RETRY_S = 0.1
 FRAMELESS_S = 30.0
 # A loop that took longer was suspended, so missing bytes prove nothing about the pad.
 PAUSED_S = 1.0
-# After a read of this many bytes, the reader rests this many times as long as parsing took, up to a limit.
+# After a read of FLOOD_BYTES, sleep FLOOD_REST times the parse time, at most LONGEST_REST_S.
 FLOOD_BYTES, FLOOD_REST, LONGEST_REST_S = 16384, 9, 0.25
 # Frames that nobody needs at once are read four at a time at 54 Hz, because a wake-up with cold caches costs
 # more than a frame. Linux keeps 4096 bytes of a port: if half of that has come, the next read is not put off.
@@ -51,7 +51,7 @@ class Sensor:
     """Reads `port` (see `touchd.drivers.pad.port`); puts frames and states into `queue`.
 
     A state "up" comes before the first frame of an opened port; a state "down" after each failed attempt, and
-    again and again while no frames come. The port is reopened whenever it fails, after FIRST_RETRY_S and then
+    every `silence_s` without frames. The port is reopened whenever it fails, after FIRST_RETRY_S and then
     ever longer up to longest_retry_s. Without a frame for silence_s the pad is down. After reopen_after_s
     without a byte the port is reopened, which restarts an Arduino that hangs; after frameless_s without a
     frame too. A frame's host_s is when its last byte was read.

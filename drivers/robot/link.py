@@ -121,7 +121,7 @@ class RobotLink:
         self._events.set_status(status, pad)
 
     def stop(self, timeout_s: float = 2.0) -> None:
-        """Say goodbye to the robot and end, in whatever state it is; may be called again."""
+        """Disconnect; idempotent."""
         deadline_s = time.monotonic() + timeout_s
         for worker in self._workers:
             worker.ask_to_stop()

@@ -108,7 +108,7 @@ class RobotSession(Protocol):
         """Call a service with builtin types and return its answer; raises RobotLost or RobotRefused."""
 
     def close(self) -> None:
-        """Give the connection up at once, in whatever state it is."""
+        """Drop the connection at once; idempotent."""
 
 
 # Takes URL, login, limits, and an event after which no call may take longer than STOPPING_LIMIT_S.

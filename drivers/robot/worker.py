@@ -19,7 +19,7 @@ Item = TypeVar("Item")
 LinkState: TypeAlias = Literal["up", "down"]
 
 # Poll interval for an idle connection; bounds how long a killed robot goes unnoticed.
-LOOK_S = 0.05
+IDLE_S = 0.05
 # Time to drain the queue on shutdown.
 LAST_WORDS_S = 0.5
 
@@ -62,7 +62,7 @@ class Worker(ABC, Generic[Item]):
         """Make the first calls on a new session, if any."""
 
     def tend(self, session: RobotSession) -> bool:
-        """Do what is due apart from the queue; returns whether the robot was called."""
+        """Do what is due beside the queue; returns whether the robot was called."""
         return False
 
     def end(self, session: RobotSession) -> None:
@@ -126,7 +126,7 @@ class Worker(ABC, Generic[Item]):
                 self._heartbeat(session)
                 answered_s = time.monotonic()
             else:
-                self._wake.wait(LOOK_S)
+                self._wake.wait(IDLE_S)
         deadline_s = time.monotonic() + LAST_WORDS_S
         while time.monotonic() < deadline_s and self._handle_next(session):
             pass

@@ -19,7 +19,7 @@ from rigs.sensor_rig import stream_of
 
 from touchd.daemon.config import SensorSettings, Settings
 from touchd.daemon.events import SensorEvent
-from touchd.daemon.monitor import LOOK_S, NOISY_LOOKS, PadMonitor, TaxelFaults
+from touchd.daemon.monitor import COMPARE_S, NOISY_CHECKS, PadMonitor, TaxelFaults
 from touchd.daemon.playback.rig import encoder_for
 from touchd.drivers.fakes.encode import encode_frame
 from touchd.drivers.fakes.fake_port import FakePort
@@ -235,7 +235,7 @@ def watch(parser: FrameParser, packets: list[bytes], where: str = "COM3", turns:
     monitor.on_frame(Frame(0, 0, 0.0, still), restarted=False)
     for turn in range(turns):
         for number, packet in enumerate(packets, 1):
-            now_s = LOOK_S * (turn + number / len(packets))
+            now_s = COMPARE_S * (turn + number / len(packets))
             parser.feed(packet, now_s)
             monitor.on_frame(Frame(0, round(1000 * now_s), now_s, still), restarted=False)
 
@@ -288,7 +288,7 @@ def test_frames_refused_during_an_outage_are_not_a_fault(caplog: pytest.LogCaptu
     monitor.on_frame(Frame(0, 0, 0.0, still), restarted=False)
     for packet in faulty(flip_bit_every=3):
         parser.feed(packet, 10.0)
-    monitor.on_frame(Frame(0, 0, 3 * LOOK_S, still), restarted=True)
+    monitor.on_frame(Frame(0, 0, 3 * COMPARE_S, still), restarted=True)
     assert caplog.messages == []
 
 
@@ -355,7 +355,7 @@ def test_a_daemon_that_was_stopped_blames_neither_pad_nor_clock(tmp_path: Path) 
 def test_a_noisy_pad_is_degraded_until_it_is_calm() -> None:
     monitor = PadMonitor()
     for is_noisy, state in ((True, "degraded"), (False, "up")):
-        for _ in range(NOISY_LOOKS - 1):
+        for _ in range(NOISY_CHECKS - 1):
             monitor.on_rest(is_noisy=is_noisy, loose_lines=())
         assert states_of(monitor, [0]) == []
         monitor.on_rest(is_noisy=is_noisy, loose_lines=())
