@@ -213,13 +213,18 @@ class TGC(nn.Module):
 
     def at_lengths(self, counts: Tensor, lengths: tuple[int, ...]) -> Tensor:
         """Return (B, len(lengths), classes) logits, each over the first `length` frames, in one pass."""
+        return self.at_own_lengths(counts, torch.tensor(lengths, device=counts.device).expand(len(counts), -1))
+
+    def at_own_lengths(self, counts: Tensor, lengths: Tensor) -> Tensor:
+        """Return (B, K, classes) logits; lengths: (B, K), of each window its own."""
         # Sums over a touch need float32, also where the layers train in bfloat16.
         features = self.features(counts).to(counts.dtype)
         frames = torch.arange(1, counts.shape[1] + 1, device=counts.device)[:, None]
         mean = features.cumsum(dim=1) / frames
         variance = (features * features).cumsum(dim=1) / frames - mean * mean
         highest = features.cummax(dim=1).values
-        ends = [torch.stack([x[:, n - 1] for n in lengths], dim=1) for x in (mean, variance, highest)]
+        last = (lengths - 1)[:, :, None].expand(-1, -1, features.shape[2])
+        ends = [x.gather(1, last) for x in (mean, variance, highest)]
         logits: Tensor = self.dense(self.summary(*ends))
         return logits
 

@@ -15,6 +15,8 @@ from touchd.drivers.errors import TouchdError
 from touchd.model.training.settings import Study, TrainSettings
 
 SHIPPED_RECIPE = Path(__file__).parent / "recipe.yaml"
+BASE_RECIPE = Path(__file__).parent / "base.yaml"
+"""Recipe of the networks that the shipped recipe's begin from."""
 HAART_RECIPE = Path(__file__).parent / "haart.yaml"
 """Recipe of the network from HAART alone, for the comparison with the paper."""
 WIDE_RECIPE = Path(__file__).parent / "haart-wide.yaml"
@@ -37,14 +39,17 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     settings: TrainSettings
     left_out_study: Literal["third"] | None = None
     """A study that one network leaves out whole, for the figure of a pad never met."""
+    begins_from: str | None = None
+    """Name of the recipe whose trained networks these ones begin from; None: from random weights."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """One network to train: the name of its folder and its settings."""
+    """One network to train: the name of its folder, its settings, the folder of the one it begins from."""
 
     name: str
     settings: TrainSettings
+    begins_from: str | None = None
 
 
 def read_recipe(path: Path = SHIPPED_RECIPE) -> Recipe:
@@ -94,4 +99,5 @@ def _job(recipe: Recipe, seed: int, left_out: tuple[str, ...] = (), without: Stu
         studies=tuple(study for study in recipe.settings.studies if study != without),
     )
     learnt = f"without-{without}" if without else fold_name(left_out)
-    return Job(f"{recipe.name}-{learnt}-seed{seed}", settings)
+    begins_from = f"{recipe.begins_from}-{learnt}-seed{seed}" if recipe.begins_from else None
+    return Job(f"{recipe.name}-{learnt}-seed{seed}", settings, begins_from)

@@ -37,6 +37,8 @@ class TrainSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Of the exponential moving average of the weights, which is the network that is kept."""
     shares: Shares | None = None
     """Of the studies; each person of a study is drawn equally often. None: each recording equally often."""
+    passing: float = 0.0
+    """Share of the windows of touches that show a touch in passing: the hand comes, and is gone again."""
     bfloat16: bool = False
     """Whether the layers compute in bfloat16 while training, where the device has instructions for it."""
     network: NetworkSettings = NetworkSettings()

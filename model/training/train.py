@@ -5,21 +5,17 @@ the first dimension, and one step of all is recorded as a CUDA graph.
 """
 
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import msgspec
-import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.func import functional_call, vmap
 from torch.nn import functional
 from tqdm import tqdm
 
-from touchd.drivers.frame import NO_TOUCH
 from touchd.drivers.recording import Recording
-from touchd.model.adapt.augment import Frames, as_another_pad, as_quiet_pad, begin_from_rest, crop, vary
 from touchd.model.adapt.optimise import GRADIENT_LIMIT, learning_rate_at
 from touchd.model.adapt.output import code_version, data_hash
 from touchd.model.tgc import TGC
@@ -28,30 +24,29 @@ from touchd.model.training.calibrate import IMPOSSIBLE
 from touchd.model.training.checkpoint import Checkpoint, CheckpointError
 from touchd.model.training.recipe import Job
 from touchd.model.training.settings import TrainSettings
-from touchd.model.training.studies import MISSING, study_of
+from touchd.model.training.windows import WindowSampler, learns
 
 CHECKPOINT_NAME = "checkpoint.pt"
-SOURCES = ("haart.py", "settings.py", "train.py")
+SOURCES = ("contacts.py", "haart.py", "passing.py", "settings.py", "train.py", "windows.py")
 SAVED_EVERY_S = 60.0
 # PyTorch asks for some steps before one is recorded (CUDA semantics, "CUDA graphs").
 STEPS_BEFORE_GRAPH = 3
 MOMENTS = ("exp_avg", "exp_avg_sq")
 Weights = dict[str, Tensor]
 """By name, (N, ...) of N networks."""
-Ask = Callable[[Weights, Tensor], Tensor]
-"""From weights and windows (N, B, T, 8, 8) to logits (N, B, lengths, classes)."""
+Ask = Callable[[Weights, Tensor, Tensor], Tensor]
+"""From weights, windows (N, B, T, 8, 8) and lengths (N, B, K) to logits (N, B, K, classes)."""
 
 
 class AtLengths(nn.Module):
-    """The network as training calls it: logits at several lengths of a window."""
+    """The network as training calls it: logits at several lengths of each window."""
 
-    def __init__(self, network: TGC, lengths: tuple[int, ...]) -> None:
+    def __init__(self, network: TGC) -> None:
         super().__init__()
         self.network = network
-        self.lengths = lengths
 
-    def forward(self, windows: Tensor) -> Tensor:
-        return self.network.at_lengths(windows, self.lengths)
+    def forward(self, windows: Tensor, lengths: Tensor) -> Tensor:
+        return self.network.at_own_lengths(windows, lengths)
 
 
 class Training:
@@ -70,23 +65,14 @@ class Training:
         self.recordings = recordings
         self.each = tuple(settings)
         self.data_sha256 = [
-            data_hash(recording for recording in recordings if self._learns(own, recording))
+            data_hash(recording for recording in recordings if learns(own, recording))
             for own in settings
         ]
         self.settings = settings[0]
         self.device = device
-        self.labels = tuple(sorted({recording.gesture for recording in recordings}))
-        self.frames = Frames.of(
-            [torch.from_numpy(recording.counts.astype(np.float32)) for recording in recordings], device
-        )
-        self.classes = torch.tensor(
-            [self.labels.index(recording.gesture) for recording in recordings], device=device
-        )
-        self.missing = torch.tensor([label in MISSING["third"] for label in self.labels], device=device)
-        soft = [study_of(recording.participant) == "third" for recording in recordings]
-        self.soft = torch.tensor(soft, device=device)
-        self.drawn = torch.stack([self._drawn(own) for own in settings]).to(device)
-        self.rests, self.rest_counts = (table.to(device) for table in self._rests())
+        self.sampler = WindowSampler(recordings, settings, device)
+        self.labels = self.sampler.labels
+        self.rng = self.sampler.rng
 
         networks = []
         for own in settings:
@@ -97,7 +83,7 @@ class Training:
             for name in networks[0]
         }
         self.average = {name: weights.detach().clone() for name, weights in self.weights.items()}
-        base = AtLengths(TGC(self.settings.network, len(self.labels)), self.settings.lengths).to(device)
+        base = AtLengths(TGC(self.settings.network, len(self.labels))).to(device)
         self._ask = torch.compile(at_once(base)) if device == "cuda" else in_turn(base)
         self._bfloat16 = self.settings.bfloat16 and computes_bfloat16(device)
         self.rate = torch.zeros((), device=device)
@@ -109,51 +95,16 @@ class Training:
             weight_decay=self.settings.weight_decay,
             capturable=device == "cuda",
         )
-        # Dropout draws from the device's own generator, so that everything else does too.
-        self.rng = torch.cuda.default_generators[0] if device == "cuda" else torch.default_generator
         torch.manual_seed(self.settings.seed)
         self.step = 0
         self._steps_here = 0
         self._graph: torch.cuda.CUDAGraph | None = None
 
-    def _drawn(self, own: TrainSettings) -> Tensor:
-        """Return (R,), the cumulative probability with which a network's windows are cut from a recording."""
-        recorded = Counter(each.participant for each in self.recordings if self._learns(own, each))
-        people = Counter(study_of(participant) for participant in recorded)
-
-        def share(recording: Recording) -> float:
-            if not self._learns(own, recording):
-                return 0.0
-            if own.shares is None:
-                return 1.0
-            study = study_of(recording.participant)
-            of_study: float = getattr(own.shares, study)
-            return of_study / people[study] / recorded[recording.participant]
-
-        shares = torch.tensor([share(each) for each in self.recordings], dtype=torch.float64)
-        until = (shares.cumsum(0) / shares.sum()).float()
-        # Nothing is drawn after the last recording, whatever the rounding.
-        return torch.where(until >= until[-1], 2.0, until)
-
-    @staticmethod
-    def _learns(own: TrainSettings, recording: Recording) -> bool:
-        return recording.participant not in own.left_out and study_of(recording.participant) in own.studies
-
-    def _rests(self) -> tuple[Tensor, Tensor]:
-        """Return (R, most) and (R,): the recordings at rest of each one's participant; how many there are."""
-        resting: dict[str, list[int]] = {recording.participant: [] for recording in self.recordings}
-        for i, recording in enumerate(self.recordings):
-            if recording.gesture == NO_TOUCH:
-                resting[recording.participant].append(i)
-        own = [torch.tensor(resting[each.participant], dtype=torch.long) for each in self.recordings]
-        padded = nn.utils.rnn.pad_sequence(own, batch_first=True)
-        return functional.pad(padded, (0, 1)), torch.tensor([len(each) for each in own])
-
     def run(self, steps: int) -> None:
         """Train all networks for a number of steps."""
         for _ in range(steps):
             self.rate.fill_(learning_rate_at(self.step, self.settings.steps, self.settings.learning_rate))
-            # The average would remember the random start, so it follows fast at first.
+            # The average would remember the start, so it follows fast at first.
             self.follow.fill_(1.0 - min(self.settings.average_decay, (self.step + 1) / (self.step + 10)))
             self._take_step()
             self.step += 1
@@ -178,13 +129,14 @@ class Training:
 
     def _learn(self) -> None:
         with torch.no_grad():
-            windows, targets, possible = self._windows()
+            batch = self.sampler.draw()
         with torch.autocast(self.device, torch.bfloat16, enabled=self._bfloat16, cache_enabled=False):
-            logits = self._ask(self.weights, windows).float()
-        logits = logits.masked_fill(~possible[:, :, None], IMPOSSIBLE)
-        even = possible / possible.sum(dim=-1, keepdim=True)
-        expected = torch.lerp(targets, even, self.settings.label_smoothing)
-        losses = -(expected[:, :, None] * functional.log_softmax(logits, dim=-1)).sum(dim=-1).mean(dim=(1, 2))
+            logits = self._ask(self.weights, batch.windows, batch.lengths).float()
+        logits = logits.masked_fill(~batch.possible[:, :, None], IMPOSSIBLE)
+        even = batch.possible / batch.possible.sum(dim=-1, keepdim=True)
+        expected = torch.lerp(batch.targets, even, self.settings.label_smoothing)
+        losses = -(expected[:, :, None] * functional.log_softmax(logits, dim=-1)).sum(dim=-1)
+        losses = (losses * batch.weights).mean(dim=(1, 2))
         self.loss.copy_(losses.detach())
         gradients = torch.autograd.grad(losses.sum(), list(self.weights.values()))
         lengths = torch.stack([each.flatten(1).square().sum(dim=1) for each in gradients]).sum(dim=0).sqrt()
@@ -198,49 +150,6 @@ class Training:
             changes = torch._foreach_sub(list(self.weights.values()), averages)
             torch._foreach_mul_(changes, self.follow)
             torch._foreach_add_(averages, changes)
-
-    def _windows(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Return windows (N, B, T, 8, 8), targets and possible answers (N, B, classes)."""
-        settings, varied, rng = self.settings, self.settings.augmentation, self.rng
-        N, B = len(self.each), settings.batch
-        places = torch.rand(N, B, generator=rng, device=rng.device)
-        chosen = torch.searchsorted(self.drawn, places, right=True).flatten()
-        windows = crop(self.frames, chosen, settings.window, varied, rng)
-        counts = self.rest_counts[chosen]
-        rest = (torch.rand(N * B, generator=rng, device=rng.device) * counts).long()
-        still = crop(self.frames, self.rests[chosen, rest], settings.window, varied, rng)
-        risen = begin_from_rest(windows, still, varied, rng)
-        windows = torch.where((counts > 0)[:, None, None, None], risen, windows)
-        soft = self.soft[chosen]
-        fabric = as_quiet_pad(as_another_pad(windows, varied, rng), varied, rng)
-        windows = torch.where(soft[:, None, None, None], windows, fabric)
-        windows = vary(windows, varied, rng).reshape(N, B, *windows.shape[1:])
-        targets = functional.one_hot(self.classes[chosen], len(self.labels)).float().reshape(N, B, -1)
-        windows, targets, soft = self._mix(windows, targets, soft.reshape(N, B))
-        return windows, targets, self._possible(targets, soft)
-
-    def _mix(self, windows: Tensor, targets: Tensor, soft: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Blend some windows (N, B, T, 8, 8) with others, on the scale that the network sees.
-
-        soft: (N, B) bool, whether a window of the third study's pad takes part.
-        """
-        share, chance, order = torch.rand(3, *soft.shape, generator=self.rng, device=self.rng.device)
-        share = 0.5 * share * (chance < self.settings.augmentation.mix)
-        other = order.argsort(dim=1)
-        stack = torch.arange(len(windows), device=windows.device)[:, None]
-        knee = self.settings.network.knee_counts
-        levels = torch.log(windows + knee)
-        mixed = torch.exp(torch.lerp(levels, levels[stack, other], share[:, :, None, None, None])) - knee
-        blended = torch.lerp(targets, targets[stack, other], share[:, :, None])
-        return mixed, blended, soft | (soft[stack, other] & (share > 0))
-
-    def _possible(self, targets: Tensor, soft: Tensor) -> Tensor:
-        """Return (N, B, classes) bool, the answers that the loss compares: the third study has no tickle.
-
-        Without this, "tickle" would become evidence for the other studies' pad.
-        """
-        possible: Tensor = ~(soft[..., None] & self.missing) | (targets > 0)
-        return possible
 
     def snapshots(self) -> list[Checkpoint]:
         """Return each network's state as a checkpoint."""
@@ -273,6 +182,13 @@ class Training:
             name: state[weights][moment] if weights in state else torch.zeros_like(weights)
             for name, weights in self.weights.items()
         }
+
+    def begin_from(self, trained: Sequence[Checkpoint]) -> None:
+        """Begin from the networks of these trainings, one each."""
+        for name, own_weights in self.weights.items():
+            networks = [each.network[name.removeprefix("network.")] for each in trained]
+            own_weights.data.copy_(torch.stack(networks))
+            self.average[name].copy_(own_weights.detach())
 
     def resume(self, saved: Sequence[Checkpoint]) -> None:
         """Resume all networks from the same step; raises CheckpointError if one is of another training."""
@@ -316,6 +232,9 @@ def train(recordings: Sequence[Recording], jobs: Sequence[Job], runs: Path, devi
     paths = [runs / job.name / CHECKPOINT_NAME for job in jobs]
     if any(path.exists() for path in paths):
         training.resume([checkpoint.load(path) for path in paths])
+    elif jobs[0].begins_from is not None:
+        begins = [runs / str(job.begins_from) / CHECKPOINT_NAME for job in jobs]
+        training.begin_from([checkpoint.load(path) for path in begins])
     name = jobs[0].name if len(jobs) == 1 else f"{len(jobs)} networks"
     steps = training.settings.steps
     saved_at = time.monotonic()
@@ -334,8 +253,8 @@ def train(recordings: Sequence[Recording], jobs: Sequence[Job], runs: Path, devi
 def at_once(network: nn.Module) -> Ask:
     """Return what asks stacked networks in one pass, as suits a GPU."""
 
-    def ask(weights: Weights, windows: Tensor) -> Tensor:
-        return functional_call(network, weights, (windows,))  # type: ignore[no-any-return]
+    def ask(weights: Weights, windows: Tensor, lengths: Tensor) -> Tensor:
+        return functional_call(network, weights, (windows, lengths))  # type: ignore[no-any-return]
 
     return vmap(ask, randomness="different")
 
@@ -343,10 +262,10 @@ def at_once(network: nn.Module) -> Ask:
 def in_turn(network: nn.Module) -> Ask:
     """Return what asks stacked networks one after the other."""
 
-    def ask(weights: Weights, windows: Tensor) -> Tensor:
+    def ask(weights: Weights, windows: Tensor, lengths: Tensor) -> Tensor:
         each = ({name: values[place] for name, values in weights.items()} for place in range(len(windows)))
-        pairs = zip(each, windows, strict=True)
-        return torch.stack([functional_call(network, own, (seen,)) for own, seen in pairs])
+        seen = zip(each, windows, lengths, strict=True)
+        return torch.stack([functional_call(network, own, (of, at)) for own, of, at in seen])
 
     return ask
 

@@ -1,0 +1,176 @@
+"""Windows of touches in passing: a hand comes, makes one or a few contacts, and goes; then the pad rests.
+
+The recordings show hands that repeat a gesture without a pause. A window is made of a piece of one: whole
+contacts of a pat or stroke, or a part of another gesture; with rest of the same pad before and after.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from touchd.drivers.frame import ROWS
+from touchd.drivers.recording import NO_TOUCH, Recording
+from touchd.model.adapt.augment import Frames
+from touchd.model.training.contacts import LEAVES, contacts, rests_of, shift_of_rest
+
+# A piece of a gesture without lift-offs lasts 0.3 to 2.2 s, as do several contacts together.
+LEAST_FRAMES, MOST_FRAMES = 16, 118
+# The tracker dates a touch up to three frames too early or two too late.
+EARLIEST_FRAMES, LATEST_FRAMES = 3, 2
+# A hand comes and goes within this many frames; from a soft pad, which creeps back, it seems to go slowly.
+FADE_FRAMES, SOFT_FADE_FRAMES = 4.0, 24.0
+# A touch that is over is answered about 13 frames after its last contact.
+ANSWERED_FRAMES = (9, 20)
+# Nothing is asked about a touch when its hand has been off for a second.
+FORGOTTEN_FRAMES = 54
+PACE = 0.2
+# How many contacts a touch has: this many more than one at most, few more often than many.
+MORE_CONTACTS = {"pat": 6, "stroke": 3}
+
+
+@dataclass(frozen=True, eq=False)
+class Passing:
+    """Tables by recording, to make such windows on one device.
+
+    starts, stops: (R, most) frames of whole contacts. contacts: (R,) how many; 0: the gesture has none.
+    more: (R,) how many more than one a touch may have. touches: (R,) bool, False at rest and where no rest is
+    known. rests, rest_counts: (R, most), (R,) recordings at rest. shifts: (R, 8, 8) counts of the rest.
+    soft: (R,) bool.
+    """
+
+    starts: Tensor
+    stops: Tensor
+    contacts: Tensor
+    more: Tensor
+    touches: Tensor
+    rests: Tensor
+    rest_counts: Tensor
+    shifts: Tensor
+    soft: Tensor
+
+    @classmethod
+    def of(cls, recordings: Sequence[Recording], soft: Sequence[bool], device: str) -> "Passing":
+        """Find the contacts of each recording, and its rest."""
+        rests = rests_of(recordings)
+        found = [
+            contacts(each, is_soft=is_soft) if each.gesture in LEAVES else []
+            for each, is_soft in zip(recordings, soft, strict=True)
+        ]
+        shifts = [
+            shift_of_rest(each.counts, recordings[resting[0]].counts)
+            if each.gesture in (*LEAVES, "tickle") and resting
+            else np.zeros((ROWS, ROWS), np.float32)
+            for each, resting in zip(recordings, rests, strict=True)
+        ]
+
+        def table(rows: Sequence[Sequence[int]]) -> Tensor:
+            most = max(1, *map(len, rows))
+            filled = torch.zeros(len(rows), most, dtype=torch.long)
+            for row, values in zip(filled, rows, strict=True):
+                row[: len(values)] = torch.tensor(values, dtype=torch.long)
+            return filled.to(device)
+
+        return cls(
+            starts=table([[first for first, _ in each] for each in found]),
+            stops=table([[stop for _, stop in each] for each in found]),
+            contacts=torch.tensor([len(each) for each in found], device=device),
+            more=torch.tensor([MORE_CONTACTS.get(each.gesture, 0) for each in recordings], device=device),
+            touches=torch.tensor(
+                [
+                    each.gesture != NO_TOUCH and bool(resting)
+                    for each, resting in zip(recordings, rests, strict=True)
+                ],
+                device=device,
+            ),
+            rests=table(rests),
+            rest_counts=torch.tensor([len(each) for each in rests], device=device),
+            shifts=torch.from_numpy(np.stack(shifts)).to(device),
+            soft=torch.tensor(soft, device=device),
+        )
+
+    def some(
+        self,
+        frames: Frames,
+        chosen: Tensor,
+        windows: Tensor,
+        lengths: Tensor,
+        share: float,
+        rng: torch.Generator,
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Replace a share of the windows (B, T, 8, 8) of touches by touches in passing.
+
+        lengths: (B, K) frames after which windows are answered. Returns windows; lengths (B, K + 1), the last
+        one at the touch's end; and weights of the answers in the loss, (B, K + 1).
+        """
+        B, T = windows.shape[:2]
+        is_passing = (torch.rand(B, generator=rng, device=rng.device) < share) & self.touches[chosen]
+        made, over = self._windows(frames, chosen, T, rng)
+        windows = torch.where(is_passing[:, None, None, None], made, windows)
+        least, most = ANSWERED_FRAMES
+        wait = torch.randint(least, most, (B,), generator=rng, device=rng.device)
+        anywhere = torch.randint(least, T + 1, (B,), generator=rng, device=rng.device)
+        end = torch.where(is_passing, (over + wait).clamp_max(T), anywhere)
+        lengths = torch.cat([lengths, end[:, None]], dim=1)
+        is_forgotten = is_passing[:, None] & (lengths > over[:, None] + FORGOTTEN_FRAMES)
+        weights = (~is_forgotten).float()
+        return windows, lengths, weights / weights.mean(dim=1, keepdim=True)
+
+    def _windows(
+        self, frames: Frames, chosen: Tensor, T: int, rng: torch.Generator
+    ) -> tuple[Tensor, Tensor]:
+        """Return windows (B, T, 8, 8) of touches in passing, and the frame after each touch (B,)."""
+        B = len(chosen)
+
+        def uniform(*shape: int) -> Tensor:
+            return torch.rand(B, *shape, generator=rng, device=rng.device)
+
+        start, stop = self._touch(frames, chosen, uniform(4))
+        pace = 1.0 + PACE * (2.0 * uniform() - 1.0)
+        lead = (uniform() * (EARLIEST_FRAMES + LATEST_FRAMES + 1)).floor() - LATEST_FRAMES
+        over = lead + (stop - start) / pace
+        ticks = torch.arange(T, device=chosen.device).float()
+        touched = _at(frames, chosen, start[:, None] + (ticks - lead[:, None]) * pace[:, None])
+        resting = self.rests[chosen, (uniform() * self.rest_counts[chosen]).long()]
+        begin = uniform() * (frames.lengths[resting] - T).clamp_min(0)
+        rest = _at(frames, resting, begin[:, None] + ticks)
+        is_shifted = (uniform() < 0.5)[:, None, None]
+        rest = rest + (self.shifts[chosen] * is_shifted)[:, None]
+        longest = torch.where(self.soft[chosen], SOFT_FADE_FRAMES, FADE_FRAMES)
+        rise, fall = 1.0 + uniform() * (FADE_FRAMES - 1.0), 1.0 + uniform() * (longest - 1.0)
+        comes = (ticks - lead[:, None] + 1.0) / rise[:, None]
+        goes = 1.0 - (ticks - over[:, None]) / fall[:, None]
+        contact = torch.minimum(comes, goes).clamp(0.0, 1.0)
+        return torch.lerp(rest.clamp_min(0.0), touched, contact[:, :, None, None]), over.ceil().long()
+
+    def _touch(self, frames: Frames, chosen: Tensor, chance: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the first frame and the one after the last, (B,) each, of a touch; chance: (B, 4)."""
+        first, more, length, place = chance.unbind(1)
+        count = self.contacts[chosen]
+        begun = (first * count).long()
+        ended = begun + (more**2 * self.more[chosen]).long()
+        ended = torch.minimum(ended, (count - 1).clamp_min(0))
+        start, stop = self.starts[chosen, begun], self.stops[chosen, ended]
+        stop = torch.where(stop - start > MOST_FRAMES, self.stops[chosen, begun], stop)
+        longest = torch.minimum(frames.lengths[chosen] - 2, torch.tensor(MOST_FRAMES, device=count.device))
+        piece = LEAST_FRAMES + length**2 * (longest - LEAST_FRAMES)
+        anywhere = place * (frames.lengths[chosen] - 1 - piece)
+        has_contacts = count > 0
+        return (
+            torch.where(has_contacts, start.float(), anywhere),
+            torch.where(has_contacts, stop.float(), anywhere + piece),
+        )
+
+
+
+def _at(frames: Frames, chosen: Tensor, places: Tensor) -> Tensor:
+    """Return (B, T, 8, 8) counts of the recordings `chosen` at places (B, T) in frames, held at both ends."""
+    last = (frames.lengths[chosen] - 1)[:, None].float()
+    places = torch.minimum(places.clamp_min(0.0), last)
+    below = torch.minimum(places.floor(), last - 1.0)
+    part = (places - below)[:, :, None, None]
+    first = (frames.starts[chosen][:, None] + below.long()) * ROWS
+    rows = first[:, :, None] + torch.arange(ROWS, device=places.device)
+    return torch.lerp(frames.rows[rows], frames.rows[rows + ROWS], part)
