@@ -216,8 +216,11 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     @property
     def pipeline(self) -> PipelineSettings:
         decision = self.scene
-        if decision.final_above is None and self.sensor.described.line != PRESETS[FABRIC].line:
-            decision = msgspec.structs.replace(decision, final_above=FINAL_ABOVE_ON_ANOTHER_PAD)
+        if self.sensor.described.line != PRESETS[FABRIC].line:
+            # The network errs more often there, so the last answer has to be sure as well.
+            limits = {"final_above": FINAL_ABOVE_ON_ANOTHER_PAD, "released_above": decision.speak_above}
+            unset = {name: limit for name, limit in limits.items() if getattr(decision, name) is None}
+            decision = msgspec.structs.replace(decision, **unset)
         return PipelineSettings(touch=self.touch, decision=decision, size_mm=self.sensor.size_mm)
 
 

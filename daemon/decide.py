@@ -27,6 +27,9 @@ Sure: TypeAlias = Literal["eager", "balanced"]
 # later one less, because waiting helps less and less (docs/decision.md).
 SURE: dict[Sure, float] = {"eager": 0.5, "balanced": 0.7}
 SURE_FALLS = 0.2
+# An ended touch is told from this confidence on: nothing more comes that could make the answer surer. The
+# curve is in docs/decision.md.
+RELEASED_ABOVE = 0.4
 
 
 def sure_above(confidence: float, frames: int) -> float:
@@ -43,6 +46,8 @@ class DecisionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     early: answer at the early mark, or before it as soon as the answer is sure. sure: see SURE.
     speak_above: calibrated confidence from which the robot is told before the final answer.
     final_above: the same for the final answer; None: 0, or 0.6 on a pad whose format is not fabric-grid's.
+    released_above: the same for a shorter touch that has ended; None: RELEASED_ABOVE, or speak_above on a pad
+    whose format is not fabric-grid's.
     ongoing: whether a change of gesture after the final answer is told.
     revise_margin: a told answer is replaced only by a gesture that is more probable by this much.
     stale_s: an answer about frames older than this is not told: a late reaction is worse than none.
@@ -54,6 +59,7 @@ class DecisionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     sure: Sure = "balanced"
     speak_above: Probability = 0.65
     final_above: Probability | None = None
+    released_above: Probability | None = None
     revise_margin: Probability = 0.1
     stale_s: Annotated[float, msgspec.Meta(ge=0.001, le=60)] = 2.0
     ongoing: bool = True
@@ -74,15 +80,16 @@ class Answer:
     probabilities: dict[str, float]
     changed: bool
     told: bool
+    perhaps: str = ""
 
 
 class Decision:
     """One touch: which answer stands, what the robot was told, and when to tell it.
 
-    Until an answer is told, the most probable gesture stands. It is told once its probability reaches
-    `speak_above` (at "final": `final_above`). A told answer is replaced only by a gesture that is now more
-    probable by `revise_margin` and reaches that confidence too; otherwise it stands, and is not told again.
-    "notouch" may stand, but it is never told and never replaces a told answer.
+    Until an answer is told, the most probable gesture stands. It is told once its probability reaches the
+    stage's limit. A told answer is replaced only by a gesture that is now more probable by `revise_margin`
+    and reaches that limit too; otherwise it stands, and is not told again. "notouch" may stand, but it is
+    never told and never replaces a told answer.
     """
 
     def __init__(self, settings: DecisionSettings, labels: tuple[str, ...]) -> None:
@@ -104,20 +111,32 @@ class Decision:
         """
         scene = self.weigh(probabilities)
         best = max(scene, key=lambda label: scene[label])
-        if self.told is None:
-            stands, tell = best, best != NO_TOUCH and may_tell and self._may_tell(stage, scene[best])
-        else:
-            beaten = best != NO_TOUCH and scene[best] - scene[self.told] >= self._settings.revise_margin
-            tell = beaten and best != self.told and may_tell and self._may_tell(stage, scene[best])
-            stands = best if tell else self.told
+        may_tell = may_tell and best != NO_TOUCH
+        tell = stage != "uncertain" and may_tell and self._is_told(stage, best, scene)
         if stage == "uncertain" or (stage == "released" and self.told is None and not tell):
             # A touch without a name is told, unless the model sees no touch at all.
-            return Answer("uncertain", UNCERTAIN, scene[best], scene, True, may_tell and best != NO_TOUCH)
+            perhaps = "" if best == NO_TOUCH else best
+            return Answer("uncertain", UNCERTAIN, scene[best], scene, True, may_tell, perhaps)
+        stands = best if tell or self.told is None else self.told
         changed = stands != self._stands
         if stage != "ongoing" or tell:
             self._stands, self._answered = stands, scene
         self.told = stands if tell else self.told
         return Answer(stage, stands, scene[stands], scene, changed, tell)
+
+    def _is_told(self, stage: Stage, best: str, scene: dict[str, float]) -> bool:
+        """Whether the most probable gesture is told: a first answer, or one that beats the told one."""
+        if scene[best] < self._limit(stage):
+            return False
+        return self.told is None or (
+            best != self.told and scene[best] - scene[self.told] >= self._settings.revise_margin
+        )
+
+    def is_sure_of_released(self, probabilities: NDArray[np.float64]) -> bool:
+        """Whether to answer a touch whose hand has just left, before its quiet time shows that it is over."""
+        scene = self.weigh(probabilities)
+        best = max(scene, key=lambda label: scene[label])
+        return self.told is None and best != NO_TOUCH and scene[best] >= self._settings.speak_above
 
     def has_changed(self, probabilities: NDArray[np.float64]) -> bool:
         """Whether a touch's latest frames show another gesture than the last answer: (labels,) probabilities.
@@ -142,9 +161,14 @@ class Decision:
         limit = max(sure_above(SURE[self._settings.sure], frames), self._settings.speak_above)
         return frames >= EARLIEST_FRAMES and best != NO_TOUCH and scene[best] >= limit
 
-    def _may_tell(self, stage: Stage, confidence: float) -> bool:
+    def _limit(self, stage: Stage) -> float:
+        """Return the confidence from which an answer is told at a stage."""
         settings = self._settings
-        return confidence >= ((settings.final_above or 0.0) if stage == "final" else settings.speak_above)
+        if stage == "final":
+            return settings.final_above or 0.0
+        if stage == "released":
+            return RELEASED_ABOVE if settings.released_above is None else settings.released_above
+        return settings.speak_above
 
     def weigh(self, probabilities: NDArray[np.float64]) -> dict[str, float]:
         """Return (labels,) probabilities by label, renormalised over the gestures that can occur."""

@@ -56,6 +56,8 @@ class Prediction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
     latency_ms: from the arrival of the frame that made this answer due to the answer's hand-over.
     age_ms: from the window's last frame, by the pad's clock, to the hand-over; 0 in older journals.
     feel: what the touch was like so far.
+    perhaps: the likeliest gesture of a touch that ends as "uncertain"; "" otherwise, and if no touch is
+    likelier.
     """
 
     touch: Count
@@ -74,6 +76,7 @@ class Prediction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
     pad: str = DEFAULT_PAD
     age_ms: float = 0.0
     feel: Feel | None = None
+    perhaps: str = ""
     tags: Tags = UNSET
 
 

@@ -213,7 +213,9 @@ class TGC(nn.Module):
 
     def at_lengths(self, counts: Tensor, lengths: tuple[int, ...]) -> Tensor:
         """Return (B, len(lengths), classes) logits, each over the first `length` frames, in one pass."""
-        return self.at_own_lengths(counts, torch.tensor(lengths, device=counts.device).expand(len(counts), -1))
+        return self.at_own_lengths(
+            counts, torch.tensor(lengths, device=counts.device).expand(len(counts), -1)
+        )
 
     def at_own_lengths(self, counts: Tensor, lengths: Tensor) -> Tensor:
         """Return (B, K, classes) logits; lengths: (B, K), of each window its own."""

@@ -25,6 +25,7 @@ STUDIES = {
     "new_pad": ("studies.new_pad", "adapt.md: what recording on another kind of pad gains"),
     "tracker": ("studies.tracker.report", "sessions.md: how well touches are detected"),
     "streams": ("studies.sessions.streams", "sessions.md: the same of another kind of pad"),
+    "passing": ("studies.sessions.passing", "sessions.md: touches of a second or less"),
     "sessions": ("studies.sessions.report", "sessions.md: what the robot is told of a pad in use"),
 }
 

@@ -60,9 +60,7 @@ def contacts(recording: Recording, *, is_soft: bool) -> list[tuple[int, int]]:
             joined.append((first, stop))
     least = LEAST_STROKE_FRAMES if recording.gesture == "stroke" else LEAST_FRAMES
     return [
-        (first, stop)
-        for first, stop in joined
-        if first > 0 and stop < len(level) and stop - first >= least
+        (first, stop) for first, stop in joined if first > 0 and stop < len(level) and stop - first >= least
     ]
 
 

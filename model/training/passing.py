@@ -118,9 +118,7 @@ class Passing:
         weights = (~is_forgotten).float()
         return windows, lengths, weights / weights.mean(dim=1, keepdim=True)
 
-    def _windows(
-        self, frames: Frames, chosen: Tensor, T: int, rng: torch.Generator
-    ) -> tuple[Tensor, Tensor]:
+    def _windows(self, frames: Frames, chosen: Tensor, T: int, rng: torch.Generator) -> tuple[Tensor, Tensor]:
         """Return windows (B, T, 8, 8) of touches in passing, and the frame after each touch (B,)."""
         B = len(chosen)
 
@@ -162,7 +160,6 @@ class Passing:
             torch.where(has_contacts, start.float(), anywhere),
             torch.where(has_contacts, stop.float(), anywhere + piece),
         )
-
 
 
 def _at(frames: Frames, chosen: Tensor, places: Tensor) -> Tensor:

@@ -65,8 +65,7 @@ class Training:
         self.recordings = recordings
         self.each = tuple(settings)
         self.data_sha256 = [
-            data_hash(recording for recording in recordings if learns(own, recording))
-            for own in settings
+            data_hash(recording for recording in recordings if learns(own, recording)) for own in settings
         ]
         self.settings = settings[0]
         self.device = device

@@ -1,0 +1,279 @@
+"""Touches in passing, played through the daemon's pipeline: `python -m touchd.model.studies passing`.
+
+People touch a robot for a second: one stroke, a pat, three pats, a moment of rubbing. Such touches are cut
+from the studies' recordings: whole contacts of pats and strokes, and pieces of the other gestures of half a
+second to two seconds, which begin and end within a few frames. Each is followed by three seconds of the same
+person's and condition's rest, shifted as in the sessions. Networks never saw the person.
+
+The second study's takes neither begin nor end with the hand's coming and going (pressure in their first and
+last half second is as high as in the middle), so its touches are cut like HAART's.
+"""
+
+import random
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+from touchd.daemon.events import UNCERTAIN, Event, Prediction, epoch_s
+from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT, Counts
+from touchd.drivers.recording import NO_TOUCH, Recording, set_up
+from touchd.model.classifier import SHIPPED_MODEL, Classifier
+from touchd.model.studies.folders import study_parser
+from touchd.model.studies.play import frames_of, play
+from touchd.model.studies.sessions.score import FRAME_MS, Detected, detected_in
+from touchd.model.training import haart, second_study, third_study
+from touchd.model.training.contacts import LEAVES, contacts, lightest, shift_of_rest
+from touchd.model.training.studies import study_of
+from touchd.model.training.weights import left_out_split
+
+REST_FRAMES = 162
+# A cut piece rises from rest, and falls to it, within this many frames.
+FADE_FRAMES = 4
+PIECES_S = (0.5, 1.0, 2.0)
+THREE = 3
+# The tracker may date a touch this much beside its true frames.
+BESIDE_MS = 150.0
+ONE, SEVERAL = "one", "three"
+MIXED = ((ONE, "stroke"), (ONE, "pat"), (SEVERAL, "pat"), ("1 s", ""))
+"""What a visitor does: these kinds make up the figure of all touches; "": any gesture."""
+
+
+@dataclass(frozen=True, eq=False)
+class PassingTouch:
+    """A touch within a session: frames start <= i < stop. kind: "one", "three" contacts or "1 s"."""
+
+    gesture: str
+    kind: str
+    start: int
+    stop: int
+
+    @property
+    def is_in_mix(self) -> bool:
+        return any(self.kind == kind and gesture in ("", self.gesture) for kind, gesture in MIXED)
+
+
+@dataclass(frozen=True, eq=False)
+class PassingSession:
+    """The pad's counts (T, 8, 8) while one person under one condition touches it now and then."""
+
+    participant: str
+    counts: Counts
+    touches: tuple[PassingTouch, ...]
+
+
+@dataclass(frozen=True)
+class Fate:
+    """What became of one touch. told: gestures told, in order. answered_s: from lift-off to the first answer.
+
+    perhaps: what an `uncertain` event would have said; "" if none.
+    """
+
+    touch: PassingTouch
+    detected: int
+    told: tuple[str, ...]
+    answered_s: float | None
+    perhaps: str
+
+
+class PassingScore(msgspec.Struct, frozen=True, kw_only=True):
+    """Percent of touches, unless stated otherwise.
+
+    right: named rightly by the last answer. right_of_named: the same, of the touches that were named.
+    missed: not detected. several: detected as more than one. harmful: told right, then wrong. perhaps: right
+    in the last answer or, for an uncertain touch, in what it would have been.
+    answered_s: mean seconds from lift-off to the first answer, of touches answered after it. n: touches.
+    """
+
+    right: float
+    right_of_named: float
+    missed: float
+    several: float
+    harmful: float
+    perhaps: float
+    answered_s: float
+    n: int
+
+
+def sessions(recordings: Sequence[Recording]) -> Iterator[PassingSession]:
+    """Yield a session for each person and condition with a recording at rest."""
+    rng = random.Random(7)
+    conditions: dict[tuple[str, str, str], list[Recording]] = {}
+    for recording in recordings:
+        conditions.setdefault(set_up(recording), []).append(recording)
+    for (participant, _, _), own in sorted(conditions.items()):
+        resting = [recording for recording in own if recording.gesture == NO_TOUCH]
+        if not resting:
+            continue
+        rest = _rest_frames(resting[0])
+        parts: list[tuple[PassingTouch | None, NDArray[np.float32]]] = [(None, rest)]
+        touches = [
+            (touch.gesture, kind, frames, rest + _shift(touch, resting[0]))
+            for touch in own
+            if touch.gesture != NO_TOUCH
+            for kind, frames in _cut(touch, resting[0], rng)
+        ]
+        rng.shuffle(touches)
+        at = len(rest)
+        for gesture, kind, frames, after in touches:
+            parts.append((PassingTouch(gesture, kind, at, at + len(frames)), frames))
+            parts.append((None, after))
+            at += len(frames) + len(after)
+        counts = np.concatenate([frames for _, frames in parts])
+        yield PassingSession(
+            participant,
+            np.clip(np.rint(counts), 0, MAX_COUNT).astype(np.uint16),
+            tuple(touch for touch, _ in parts if touch is not None),
+        )
+
+
+def _rest_frames(resting: Recording) -> NDArray[np.float32]:
+    counts = resting.counts[len(resting.counts) // 4 :]
+    return np.asarray(counts[:REST_FRAMES], np.float32)
+
+
+def _shift(touch: Recording, resting: Recording) -> NDArray[np.float32]:
+    """Return (8, 8) counts by which rest is shifted after a touch whose hand leaves the pad."""
+    leaves = touch.gesture in (*LEAVES, "tickle")
+    return shift_of_rest(touch.counts, resting.counts) if leaves else np.zeros((8, 8), np.float32)
+
+
+def _cut(
+    touch: Recording, resting: Recording, rng: random.Random
+) -> Iterator[tuple[str, NDArray[np.float32]]]:
+    """Yield the kinds of touches in passing that a recording gives, with their frames."""
+    counts = np.asarray(touch.counts, np.float32)
+    if touch.gesture in LEAVES:
+        found = contacts(touch, is_soft=study_of(touch.participant) == "third")
+        if found:
+            first, stop = rng.choice(found)
+            yield ONE, counts[first:stop]
+        if touch.gesture == "pat" and len(found) >= THREE:
+            begun = rng.randrange(len(found) - THREE + 1)
+            yield SEVERAL, counts[found[begun][0] : found[begun + THREE - 1][1]]
+        return
+    rest = lightest(resting.counts)
+    for seconds in PIECES_S:
+        frames = round(seconds * FRAME_RATE_HZ)
+        start = rng.randrange(max(1, len(counts) - frames))
+        ticks = np.arange(frames)
+        contact = np.clip(np.minimum(ticks + 1, frames - ticks) / FADE_FRAMES, 0.0, 1.0)[:, None, None]
+        yield f"{seconds:g} s", rest + (counts[start : start + frames] - rest) * contact.astype(np.float32)
+
+
+def judge(session: PassingSession, events: Iterable[Event]) -> list[Fate]:
+    """Compare the daemon's answers with the touches made."""
+    detected = detected_in(events)
+    return [_fate(touch, [each for each in detected if _belongs(each, touch)]) for touch in session.touches]
+
+
+def _belongs(detected: Detected, touch: PassingTouch) -> bool:
+    start_ms, stop_ms = touch.start * FRAME_MS, touch.stop * FRAME_MS
+    return detected.start_ms < stop_ms + BESIDE_MS and detected.stop_ms > start_ms - BESIDE_MS
+
+
+def _fate(touch: PassingTouch, detected: Sequence[Detected]) -> Fate:
+    answers = [answer for each in detected for answer in each.answers]
+    told = [answer for answer in answers if answer.told and answer.gesture != UNCERTAIN]
+    over_s = touch.stop * FRAME_MS / 1000.0
+    last = answers[-1] if answers else None
+    return Fate(
+        touch,
+        len(detected),
+        tuple(answer.gesture for answer in told),
+        epoch_s(told[0].time) - over_s if told else None,
+        _likeliest(last) if last is not None and last.gesture == UNCERTAIN else "",
+    )
+
+
+def _likeliest(answer: Prediction) -> str:
+    touches = {name: value for name, value in answer.probabilities.items() if name != NO_TOUCH}
+    return max(touches, key=lambda name: touches[name])
+
+
+def score(fates: Sequence[Fate]) -> PassingScore:
+    """Return the figures of these touches together."""
+    named = [fate for fate in fates if fate.told]
+    right = [fate for fate in named if fate.told[-1] == fate.touch.gesture]
+    waits_s = [fate.answered_s for fate in named if fate.answered_s is not None and fate.answered_s > 0.0]
+
+    def percent(some: int, of: int | None = None) -> float:
+        return round(100.0 * some / max(1, len(fates) if of is None else of), 1)
+
+    return PassingScore(
+        right=percent(len(right)),
+        right_of_named=percent(len(right), len(named)),
+        missed=percent(sum(not fate.detected for fate in fates)),
+        several=percent(sum(fate.detected > 1 for fate in fates)),
+        harmful=percent(
+            sum(any(a == fate.touch.gesture != b for a, b in pairwise(fate.told)) for fate in fates)
+        ),
+        perhaps=percent(sum(fate.touch.gesture in (*fate.told[-1:], fate.perhaps) for fate in fates)),
+        answered_s=round(float(np.mean(waits_s)), 3) if waits_s else 0.0,
+        n=len(fates),
+    )
+
+
+def measure(recordings: Sequence[Recording], model: Classifier) -> list[Fate]:
+    """Play a session for each person and condition."""
+    return [
+        fate
+        for session in sessions(recordings)
+        for fate in judge(session, play(frames_of(session.counts), model, flush=True))
+    ]
+
+
+def rows(fates: Sequence[Fate]) -> dict[str, PassingScore]:
+    """Return the scores of the visitor's mix, and of each gesture and kind."""
+    groups: dict[str, list[Fate]] = {"mix": [fate for fate in fates if fate.touch.is_in_mix], "all": [*fates]}
+    for fate in sorted(fates, key=lambda fate: (fate.touch.gesture, fate.touch.kind)):
+        groups.setdefault(f"{fate.touch.gesture}, {fate.touch.kind}", []).append(fate)
+    return {name: score(own) for name, own in groups.items() if own}
+
+
+def held_out(recordings: Mapping[str, Sequence[Recording]], weights: Path) -> dict[str, list[Fate]]:
+    """Return each study's fates, with networks that never saw the person."""
+    return {
+        study: [fate for model, own in left_out_split(weights, each) for fate in measure(own, model)]
+        for study, each in recordings.items()
+    }
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Print the scores of people held out, or with --test of HAART's test people; returns 0."""
+    takes = ("haart", "second-study", "third-study")
+    parser = study_parser("passing", "Plays touches of a second or less, and scores what is told.", *takes)
+    parser.add_argument(
+        "--weights", type=Path, default=SHIPPED_MODEL.parent, help="folder of the model files"
+    )
+    parser.add_argument("--test", action="store_true", help="HAART's test people instead: final figures only")
+    chosen = parser.parse_args(arguments)
+    if chosen.test:
+        people = haart.realigned(haart.read_test(chosen.haart))
+        scored = {"HAART test": measure(people, Classifier.load(chosen.weights / SHIPPED_MODEL.name))}
+    else:
+        recordings = {
+            "HAART held out": haart.realigned(haart.read_training(chosen.haart)),
+            "second study": second_study.scored(second_study.read(chosen.second_study)),
+            "third study": third_study.read(chosen.third_study),
+        }
+        scored = held_out(recordings, chosen.weights)
+    for study, fates in scored.items():
+        Console(width=110).print(_table(study, rows(fates)))
+    sys.stdout.flush()
+    return 0
+
+
+def _table(title: str, scores: Mapping[str, PassingScore]) -> Table:
+    columns = PassingScore.__struct_fields__
+    table = Table("touches", *columns, title=title)
+    for name, own in scores.items():
+        table.add_row(name, *(f"{getattr(own, column):g}" for column in columns))
+    return table
