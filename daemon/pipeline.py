@@ -273,7 +273,8 @@ class Pipeline:
     def _answer_release(self, touch: Touch, frame: GridFrame) -> None:
         """Answer a touch whose hand has just left, if it is sure; another contact continues the touch."""
         output = touch.outputs.get(touch.length)
-        if touch.due and output is not None and touch.decision.is_sure_of_released(output):
+        is_sure = output is not None and touch.decision.is_sure_of_released(output)
+        if touch.due and is_sure and self._age_s(frame.index) <= self._stale_s:
             touch.answered_release = touch.length
             self._answer_at(touch, "released", touch.length, frame.host_s)
 
@@ -329,8 +330,7 @@ class Pipeline:
     ) -> None:
         """Decide on the model's output. window: its length, and the touch's length at its end."""
         frames, length = window
-        last = touch.first_index + length - 1
-        age_s = self._staleness.age_s(self._ring.frames(last, last + 1)[0], self._clock.monotonic_s())
+        age_s = self._age_s(touch.first_index + length - 1)
         answer = touch.decision.answer(stage, probabilities, may_tell=age_s <= self._stale_s)
         if stage == "ongoing" and not answer.told:
             return
@@ -355,6 +355,10 @@ class Pipeline:
                 perhaps=answer.perhaps,
             )
         )
+
+    def _age_s(self, index: int) -> float:
+        """Return how old a frame of the ring is, by the pad's clock."""
+        return self._staleness.age_s(self._ring.frames(index, index + 1)[0], self._clock.monotonic_s())
 
     def _now(self) -> str:
         return timestamp(self._clock.epoch_s())

@@ -20,9 +20,9 @@ from touchd.model.training.studies import MISSING, study_of
 class Batch:
     """What one step learns from, for N networks.
 
-    windows: (N, B, T, 8, 8) counts. targets: (N, B, classes). possible: (N, B, classes) bool, the answers that
-    the loss compares. lengths: (N, B, K) frames after which each window is answered. weights: the same shape,
-    of each answer in the loss.
+    windows: (N, B, T, 8, 8) counts. targets: (N, B, classes). possible: (N, B, classes) bool, the answers
+    that the loss compares. lengths: (N, B, K) frames after which each window is answered. weights: the same
+    shape, of each answer in the loss.
     """
 
     windows: Tensor

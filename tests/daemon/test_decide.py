@@ -99,8 +99,12 @@ SEQUENCES: dict[str, list[Step]] = {
         ("released", {"tickle": 0.7}, "tickle", True, True),
     ],
     "a short touch that stays unsure ends in uncertain": [
-        ("early", {"pat": 0.4}, "pat", True, False),
-        ("released", {"pat": 0.5}, "uncertain", True, True),
+        ("early", {"pat": 0.3}, "pat", True, False),
+        ("released", {"pat": 0.39}, "uncertain", True, True),
+    ],
+    "a short touch that has ended is told from a lower confidence on": [
+        ("early", {"pat": 0.45}, "pat", True, False),
+        ("released", {"pat": 0.45}, "pat", False, True),
     ],
     "a short touch that the model takes for none ends in uncertain, and the robot is not told": [
         ("released", {"notouch": 0.9}, "uncertain", True, False),

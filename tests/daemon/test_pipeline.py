@@ -114,9 +114,13 @@ def test_a_prediction_has_every_field_a_listener_needs() -> None:
     ("scans", "expected"),
     [
         pytest.param([palm(3.0)], [EARLY, REVISED, FINAL], id="long"),
-        pytest.param([palm(0.45), nothing(2.0)], [("released", 24)], id="short"),
-        pytest.param([palm(1.2), nothing(2.0)], [EARLY, ("released", 65)], id="the second one deferred"),
-        pytest.param([palm(40 / 54), nothing(41 / 54), palm(2.0)], [REVISED, FINAL], id="overtaken"),
+        pytest.param([palm(0.45), nothing(2.0)], [("released", 24 + 13)], id="short"),
+        pytest.param([palm(1.2), nothing(2.0)], [EARLY, ("released", 65 + 13)], id="the second one deferred"),
+        pytest.param(
+            [palm(40 / 54), nothing(41 / 54), palm(2.0)],
+            [("released", 40 + 13), REVISED, FINAL],
+            id="overtaken",
+        ),
         pytest.param([pat(3.0)], [EARLY, REVISED, FINAL], id="a pat and its lift-offs"),
     ],
 )
@@ -128,11 +132,42 @@ def test_every_answer_is_to_the_touchs_own_frames(
     assert answered(events) == expected
     bench.check_windows(*(frames for _, frames in expected))
     for end in ended(events):
-        assert (end.frames, end.gesture, len(bench.model.asked)) == (expected[-1][1], "stroke", 1)
+        assert (end.frames + 13, end.gesture) == (expected[-1][1], "stroke")
+
+
+def test_a_hand_that_has_left_is_answered_at_once() -> None:
+    bench = Bench()
+    events = bench.feel(palm(0.5), nothing(14 / 54))
+    assert told(events) == [("released", "stroke")]
+    assert ended(events) == []
+
+
+def test_an_unsure_answer_to_a_hand_that_has_left_waits() -> None:
+    bench = Bench(decision=DecisionSettings(speak_above=0.95, released_above=0.9))
+    assert predictions(bench.feel(palm(0.5), nothing(0.6))) == []
+    assert told(bench.feel(nothing(1.0))) == [("released", "stroke")]
+
+
+def test_a_hand_that_comes_back_goes_on_with_its_touch() -> None:
+    bench = Bench()
+    events = bench.feel(palm(0.5), nothing(0.5), palm(2.5))
+    assert answered(events) == [("released", 27 + 13), EARLY, REVISED, FINAL]
+    assert told(events) == [("released", "stroke")]
+
+
+def test_a_hand_that_left_long_ago_is_not_answered_at_once() -> None:
+    emitted: list[Event] = []
+    late = Clock(monotonic_s=lambda: 500.0)
+    pipeline = Pipeline(PipelineSettings(), Scripted(), emitted.append, late)
+    for number, counts in enumerate(
+        MadePad().counts(np.concatenate([nothing(2.0), palm(0.5), nothing(0.4)]))
+    ):
+        pipeline.on_frame(Frame(number, round(number * 1000 / 54), number / 54, counts))
+    assert predictions(emitted) == []
 
 
 def test_an_answer_due_in_a_pause_is_deferred() -> None:
-    bench = Bench()
+    bench = Bench(decision=DecisionSettings(speak_above=0.95))
     assert answered(bench.feel(palm(0.7), nothing(0.5))) == []
     assert answered(bench.feel(palm(2.0))) == [EARLY, REVISED, FINAL]
     bench.check_windows(54)
@@ -326,8 +361,10 @@ def test_a_touch_taken_for_notouch_ends_uncertain_and_untold() -> None:
 
 
 def test_a_short_unsure_touch_tells_the_robot_uncertain() -> None:
-    bench = Bench(decision=DecisionSettings(speak_above=0.95))
-    assert told(bench.feel(palm(0.6), nothing(2.0))) == [("uncertain", "uncertain")]
+    bench = Bench(decision=DecisionSettings(speak_above=0.95, released_above=0.95))
+    events = bench.feel(palm(0.6), nothing(2.0))
+    assert told(events) == [("uncertain", "uncertain")]
+    assert [answer.perhaps for answer in predictions(events)] == ["stroke"]
 
 
 def test_bridged_frames_mark_the_touch_degraded() -> None:

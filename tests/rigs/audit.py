@@ -58,7 +58,7 @@ class Audit:
     def _check_answer(self, answer: Prediction, before: Prediction | None) -> None:
         """Check an answer's stage, what it says of a change, and whether it may be told."""
         if before is not None:
-            again = answer.stage == before.stage == "ongoing"
+            again = answer.stage == before.stage == "ongoing" or before.stage == "released"
             self._expect(again or ORDER[answer.stage] > ORDER[before.stage], answer)
         if answer.stage != "uncertain":
             changed = before is None or answer.gesture != before.gesture

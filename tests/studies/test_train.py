@@ -31,6 +31,7 @@ from touchd.model.training.ship import train_recipe
 from touchd.model.training.studies import Folders, study_of
 from touchd.model.training.train import CHECKPOINT_NAME, Ask, AtLengths, Training, at_once, in_turn, train
 from touchd.model.training.weights import HAART_MODEL
+from touchd.model.training.windows import WindowSampler
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 NETWORK = NetworkSettings(
@@ -93,7 +94,7 @@ def test_each_of_several_networks_learns_from_its_own_people() -> None:
     training = Training(data, SIDE_BY_SIDE, DEVICE)
     places = torch.rand(3, 500)
     places[:, 0] = 1.0 - 2**-24
-    chosen = torch.searchsorted(training.drawn, places, right=True)
+    chosen = torch.searchsorted(training.sampler.drawn, places, right=True)
     drawn = [{data[i].participant for i in own.tolist()} for own in chosen]
     assert drawn == [{"P3", "S03"}, {"P3", "P4", "S03"}, {"P3", "P4"}]
 
@@ -103,7 +104,8 @@ def test_a_network_side_by_side_answers_as_it_does_alone(way: Callable[[nn.Modul
     still = [msgspec.structs.replace(each, network=CALM) for each in SIDE_BY_SIDE]
     training = Training(recordings(PEOPLE), still, DEVICE)
     windows = torch.rand(3, 2, 12, 8, 8) * 100.0
-    together = way(AtLengths(TGC(CALM, 2), SETTINGS.lengths))(training.weights, windows)
+    lengths = torch.tensor(SETTINGS.lengths).expand(3, 2, -1)
+    together = way(AtLengths(TGC(CALM, 2)))(training.weights, windows, lengths)
     for network, own, answers in zip(training.snapshots(), windows, together, strict=True):
         torch.testing.assert_close(network.build().at_lengths(own, SETTINGS.lengths), answers)
 
@@ -124,11 +126,11 @@ def test_the_recipe_holds_out_each_person_and_the_third_study() -> None:
 
 
 def test_a_study_without_tickle_does_not_teach_against_it() -> None:
-    training = Training(recordings(("P3", "S03")), [another(studies=("haart", "third"))], DEVICE)
-    training.missing = torch.tensor([False, False, True])
+    sampler = WindowSampler(recordings(("P3", "S03")), [another(studies=("haart", "third"))], DEVICE)
+    sampler.missing = torch.tensor([False, False, True])
     targets = torch.tensor([[[0.0, 1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.5, 0.5]]])
     soft = torch.tensor([[True, False, True]])
-    assert training._possible(targets, soft)[0, :, 2].tolist() == [False, True, True]
+    assert sampler.possible(targets, soft)[0, :, 2].tolist() == [False, True, True]
 
 
 @pytest.mark.parametrize(("third", "expected"), [(1.0, 0.5), (0.5, 1 / 3)])
@@ -136,7 +138,7 @@ def test_studies_are_drawn_by_their_shares(third: float, expected: float) -> Non
     people = (*(f"P{i}" for i in range(3, 9)), "S03", "S04")
     shared = another(shares=Shares(third=third), studies=("haart", "third"))
     data = recordings(people)
-    (drawn,) = Training(data, [shared], DEVICE).drawn
+    (drawn,) = WindowSampler(data, [shared], DEVICE).drawn
     chosen = torch.searchsorted(drawn, torch.rand(4000), right=True).tolist()
     share = sum(data[i].participant[0] == "S" for i in chosen) / 4000
     assert share == pytest.approx(expected, abs=0.05)
@@ -163,8 +165,10 @@ def test_bfloat16_is_used_only_where_the_processor_has_it(
     seen: set[torch.dtype] = set()
     ask = training._ask
 
-    def watched(weights: dict[str, torch.Tensor], windows: torch.Tensor) -> torch.Tensor:
-        logits: torch.Tensor = ask(weights, windows)
+    def watched(
+        weights: dict[str, torch.Tensor], windows: torch.Tensor, lengths: torch.Tensor
+    ) -> torch.Tensor:
+        logits: torch.Tensor = ask(weights, windows, lengths)
         seen.add(logits.dtype)
         return logits
 
@@ -223,6 +227,20 @@ def test_a_recipe_trains_each_of_its_networks_once(tmp_path: Path) -> None:
         train_recipe(changed, folders, tmp_path, threads=1)
     with pytest.raises(CheckpointError, match="made with other settings than the recipe's"):
         finished_training(all_jobs(changed)[1], tmp_path)
+
+
+def test_a_recipe_may_begin_from_the_networks_of_another(tmp_path: Path) -> None:
+    folders = MadeUp(tmp_path)
+    train_recipe(RECIPE, folders, tmp_path, threads=1)
+    further = msgspec.structs.replace(
+        RECIPE, name="further", begins_from="tiny", settings=another(learning_rate=0.0)
+    )
+    (job, *_) = all_jobs(further)
+    data = folders.to_train_on(job.settings.studies)
+    (begun,) = train(data, [job], tmp_path, DEVICE)
+    assert same(begun, finished_training(all_jobs(RECIPE)[0], tmp_path))
+    with pytest.raises(CheckpointError, match="there is no checkpoint"):
+        train(data, [replace(job, name="lost", begins_from="nowhere")], tmp_path, DEVICE)
 
 
 def test_networks_do_not_resume_if_only_some_were_saved(tmp_path: Path) -> None:
