@@ -9,8 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.drivers.frame import COLUMNS, ROWS
-from touchd.drivers.recording import NO_TOUCH, Recording, set_up
+from touchd.drivers.frame import COLUMNS, NO_TOUCH, ROWS
+from touchd.drivers.recording import Recording, set_up
 
 LEAVES = ("pat", "stroke")
 """Gestures whose hand leaves the pad between two contacts."""

@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from touchd.drivers.frame import ROWS
-from touchd.drivers.recording import NO_TOUCH, Recording
+from touchd.drivers.frame import NO_TOUCH, ROWS
+from touchd.drivers.recording import Recording
 from touchd.model.adapt.augment import Frames
 from touchd.model.training.contacts import LEAVES, contacts, rests_of, shift_of_rest
 

@@ -9,7 +9,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from touchd.drivers.recording import NO_TOUCH, Recording
+from touchd.drivers.frame import NO_TOUCH
+from touchd.drivers.recording import Recording
 from touchd.model.adapt.augment import Frames, as_another_pad, as_quiet_pad, begin_from_rest, crop, vary
 from touchd.model.training.passing import Passing
 from touchd.model.training.settings import TrainSettings

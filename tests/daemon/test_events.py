@@ -40,7 +40,7 @@ EVENTS: list[tuple[Event, str]] = [
         '{"type":"prediction","touch":7,"stage":"early","frames":54,"elapsed_s":1.0,"gesture":"stroke",'
         '"confidence":0.81,"probabilities":{"pat":0.19,"stroke":0.81},"changed":true,"told":true,'
         '"degraded":false,"latency_ms":1.9,"model":"touchd-1","time":"TIME","pad":"pad","age_ms":0.0,'
-        '"feel":null}',
+        '"feel":null,"perhaps":""}',
     ),
     (
         TouchEnded(touch=7, gesture="stroke", frames=201, reason="released", time=TIME, sensor_ms=84937),

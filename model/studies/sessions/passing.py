@@ -23,8 +23,8 @@ from rich.console import Console
 from rich.table import Table
 
 from touchd.daemon.events import UNCERTAIN, Event, Prediction, epoch_s
-from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT, Counts
-from touchd.drivers.recording import NO_TOUCH, Recording, set_up
+from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT, NO_TOUCH, Counts
+from touchd.drivers.recording import Recording, set_up
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 from touchd.model.studies.folders import study_parser
 from touchd.model.studies.play import frames_of, play
