@@ -24,6 +24,19 @@ KINDS = {
     "float": "a number",
     "bool": "true or false",
 }
+# Sections that look as if they took a single value.
+EXAMPLES = {
+    "journal": "journal: {path: events.jsonl}",
+    "leds": "leds: {color: green}",
+    "live": "live: {port: 8054}",
+    "lsl": "lsl: {name: touchd}",
+    "mqtt": "mqtt: {host: broker.local}",
+    "robot": "robot: {url: 'tcp://nao.local:9559'}",
+    "rosbridge": "rosbridge: {url: 'ws://robot:9090'}",
+    "ros2": "ros2: {domain: 0}",
+    "scene": "scene: {speak_above: 0.65}",
+    "sensor": "sensor: {port: /dev/ttyACM0}",
+}
 
 # Parts of PyYAML's messages, and what is wrong in each case.
 INDENTED = "indent this line as far as the other settings of its section"
@@ -62,6 +75,8 @@ def explain(error: str, struct: type[msgspec.Struct]) -> str:
             " or ".join(KINDS.get(kind, kind) for kind in each.split(" | ")) for each in match.groups()
         )
         problem = f"{expected} expected, not {got.partition(' (')[0]}"
+        if example := EXAMPLES.get(_without_items(path).rpartition(".")[2]):
+            problem += f"; as in {example}"
     elif match := WRONG_LENGTH.fullmatch(problem):
         problem = f"{match[1]} values expected, not {match[2]}"
     elif match := OUT_OF_RANGE.fullmatch(problem):

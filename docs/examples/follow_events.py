@@ -1,15 +1,31 @@
 """Follows touchd's events: python follow_events.py, with options of `touchd run` such as -c touchd.yaml."""
 
 import json
+import shutil
 import subprocess
 import sys
+from pathlib import Path
+
+
+def touchd():
+    """Return the program: on the PATH, beside this Python, or in this clone."""
+    clone = Path(__file__).resolve().parents[2] / ".venv/bin"
+    for folder in (None, Path(sys.executable).parent, clone):
+        if program := shutil.which("touchd", path=folder):
+            return program
+    sys.exit("touchd is neither on the PATH nor in .venv; in a clone, `make setup` makes it")
 
 
 def events(*options):
-    with subprocess.Popen(["touchd", "run", "--json", *options], stdout=subprocess.PIPE) as daemon:
+    with subprocess.Popen([touchd(), "run", "--json", *options], stdout=subprocess.PIPE) as daemon:
         yield from map(json.loads, daemon.stdout)
+    if daemon.returncode:
+        sys.exit(daemon.returncode)
 
 
-for event in events(*sys.argv[1:]):
-    if event["type"] == "prediction" and event["told"]:
-        print(f"touch {event['touch']}: {event['gesture']} ({event['confidence']:.0%})", flush=True)
+try:
+    for event in events(*sys.argv[1:]):
+        if event["type"] == "prediction" and event["told"]:
+            print(f"touch {event['touch']}: {event['gesture']} ({event['confidence']:.0%})", flush=True)
+except (KeyboardInterrupt, BrokenPipeError):
+    pass

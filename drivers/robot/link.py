@@ -37,6 +37,8 @@ log = logging.getLogger(__name__)
 
 # How long PREFIX/Gesture stays in the robot's memory, as its own ALTactileGesture does.
 SHOWN_S = 1.0
+# On which robots listen, by protocol.
+PORTS = {"tcp": 9559, "tcps": 9503}
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,6 +163,11 @@ def read_login(settings: RobotSettings) -> Login | None:
     address = re.fullmatch(r"tcps?://([^\s/@:]+):(\d{1,5})", settings.url)
     if address is None or int(address[2]) > 65535:
         shown = without_password(settings.url)
+        if host := re.fullmatch(r"(tcps?)://([^\s/@:]+):?", settings.url):
+            port = PORTS[host[1]]
+            raise RobotError(
+                f"robot url {shown!r} lacks its port, usually {port}: {host[1]}://{host[2]}:{port}"
+            )
         raise RobotError(f"robot url {shown!r} is not an address such as tcp://nao.local:9559")
     if settings.user is None:
         if settings.token_file:

@@ -124,6 +124,12 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
         ),
         ("touch: {onset_threshold: .nan}", "touch.onset_threshold: must be >= 0.001"),
         ("scene: {speak_above: 1.5}", "scene.speak_above: must be <= 1.0"),
+        (
+            "scene: {actions: [{do: [{leds: purple}]}]}",
+            "scene.actions[0].do[0].leds: settings (name: value) or null expected, not text; as in leds: "
+            "{color: green}",
+        ),
+        ("mqtt: broker.local", "not text; as in mqtt: {host: broker.local}"),
         ("scene: {gestures: [3]}", "scene.gestures[0]: text (in quotes) expected, not a whole number"),
         ("scene: {answer_at_frames: [81, 54, 144]}", "must rise from early to final"),
         ("robot: {}", "robot: url is missing"),

@@ -41,6 +41,26 @@ def test_the_event_iterator_follows_a_daemon(monkeypatch: pytest.MonkeyPatch) ->
             example.send_signal(signal.SIGTERM)
 
 
+@pytest.mark.parametrize("python", [sys.executable, sys._base_executable])  # type: ignore[attr-defined]
+def test_the_event_iterator_needs_no_path_in_a_clone(python: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", "/usr/bin:/bin")
+    monkeypatch.delenv("PYTHONPATH", raising=False)
+    done = ran([python, EXAMPLES / "follow_events.py", "-c", "/nowhere.yaml"])
+    assert done.returncode == 2
+    assert done.stderr.startswith("touchd: /nowhere.yaml: cannot be read")
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_the_event_iterator_without_touchd_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", "/usr/bin:/bin")
+    copy = tmp_path / "a/b/follow_events.py"
+    copy.parent.mkdir(parents=True)
+    copy.write_bytes((EXAMPLES / "follow_events.py").read_bytes())
+    done = ran([sys._base_executable, copy])  # type: ignore[attr-defined]
+    assert done.returncode == 1
+    assert done.stderr.startswith("touchd is neither on the PATH nor in .venv")
+
+
 def test_the_choregraphe_box_is_python_that_a_robot_runs() -> None:
     # Robots have Python 2.7: neither annotations nor f-strings.
     text = (EXAMPLES / "choregraphe_box.py").read_text()

@@ -166,7 +166,8 @@ def test_without_qi_a_configured_robot_is_reported_in_one_line(
     ("settings", "complaint"),
     [
         ({"url": "nao.local:9559"}, "is not an address such as tcp://"),
-        ({"url": "tcp://nao.local"}, "is not an address such as tcp://"),
+        ({"url": "tcp://nao.local"}, "lacks its port, usually 9559: tcp://nao.local:9559"),
+        ({"url": "tcps://nao"}, "lacks its port, usually 9503: tcps://nao:9503"),
         ({"url": "tcp://nao.local:port"}, "is not an address such as tcp://"),
         ({"url": "tcp://nao.local:70000"}, "is not an address such as tcp://"),
         ({"url": "tcps://nao:9503", "user": "nao"}, "set token_file"),
