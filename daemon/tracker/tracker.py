@@ -379,9 +379,11 @@ class TouchTracker:
 
     def _hold(self, touch: Touched) -> Release | None:
         quiet_frames = self._index - touch.last
+        has_returned = False
         if float(self._above(self._smooth() - self.baseline.counts).sum()) >= max(
             self._release_counts, self._restless
         ):
+            has_returned = quiet_frames > 1
             touch.last = self._index
         elif quiet_frames >= self._quiet_frames:
             # If `quiet_s` is short, ask about the quiet frames alone.
@@ -397,11 +399,14 @@ class TouchTracker:
         if self._index - touch.first >= LONGEST_FRAMES:
             return self._end_at_new_rest(touch, "longest")
         if self._is_time_to_check and self._index - touch.first >= SECOND_FRAMES:
-            return self._check_end(touch)
+            return self._check_end(touch, may_ask=not has_returned)
         return None
 
-    def _check_end(self, touch: Touched) -> Release | None:
-        """End the touch if the pad shows that nobody touches it, even above its baseline."""
+    def _check_end(self, touch: Touched, *, may_ask: bool) -> Release | None:
+        """End the touch if the pad shows that nobody touches it, even above its baseline.
+
+        may_ask: whether to ask the network; not if contact has just returned, for which an answer may wait.
+        """
         older, newer = self._recent.halves()
         change, rise = np.abs(newer - older), newer - self.baseline.counts
         level = float(self._above(rise).sum())
@@ -413,7 +418,8 @@ class TouchTracker:
         low = max(LOW_SHARE * touch.highest_level, LOW_COUNTS)
         if not is_still and float(self._above(rise - drift).sum()) > low:
             self._network.forget_answers()
-        elif self._index % ASK_FRAMES == 0:
+        elif may_ask and (self._index - touch.first) % ASK_FRAMES < CHECK_FRAMES:
+            # Counted from the touch's first frame, this is never a frame at which an answer is due.
             self._network.follow_touch(self._recent.last(SECOND_FRAMES))
 
         # Low and still; only the network may see a light touch that keeps still.
