@@ -400,7 +400,7 @@ def fault_noise_begins() -> Sent:
 @stream
 def fault_rest_drifts() -> Sent:
     """The whole pad's rest rises by two counts a second; a pat after eight seconds is recognised."""
-    counts, clock_ms = sent(hand(28, ("pat", 3.2), lead_s=8.0))
+    counts, clock_ms = sent(hand(28, ("pat", 3.2), lead_s=8.0, quiet_s=2.5))
     return Sent(counts_of(counts + 2.0 * clock_ms[:, None, None] / 1000), clock_ms)
 
 
