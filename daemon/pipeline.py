@@ -27,6 +27,7 @@ from touchd.daemon.events import (
 from touchd.daemon.feel import FeelMeter
 from touchd.daemon.monitor import REST_FRAMES, PadMonitor
 from touchd.daemon.staleness import Staleness
+from touchd.daemon.tracker.network_check import Question
 from touchd.daemon.tracker.tracker import (
     SETTLED_FRAMES,
     Onset,
@@ -138,7 +139,7 @@ class Pipeline:
         # When a touch ends, its last frame is already older by the quiet that ended it.
         self._stale_s = settings.decision.stale_s + settings.touch.quiet_s
         self._model = model
-        self._tracker = TouchTracker(settings.touch, self._p_no_touch if NO_TOUCH in model.labels else None)
+        self._tracker = TouchTracker(settings.touch, _question(model))
         self._ring = Ring(_history_frames(settings), first_index)
         self._numbers = itertools.count(1)
         self._size_mm = settings.size_mm
@@ -193,7 +194,7 @@ class Pipeline:
             self._touch.length = frame.index + 1 - self._touch.first_index
             self._touch.off_frames = frame.index - self._tracker.last_contact_index
             self._touch.degraded |= frame.bridged
-            self._touch.meter.add(self._tracker.without_loose_wire(frame.pressure))
+            self._touch.meter.add(self._frames(frame.index + 1, 1)[0])
             self._feed(self._touch)
             if self._touch.off_frames <= LIFT_OFF_FRAMES:
                 self._answer_what_is_due(self._touch, frame)
@@ -202,11 +203,6 @@ class Pipeline:
         elif frame.index % REST_FRAMES == 0:
             is_noisy, loose_lines = self._tracker.baseline.is_disturbed, self._tracker.loose_lines
             self._monitor.on_rest(is_noisy=is_noisy, loose_lines=loose_lines)
-
-    def _p_no_touch(self, window: NDArray[np.float32]) -> float:
-        """Return the model's probability that nothing touches the pad in these frames."""
-        window = as_known(window, self._tracker.baseline.counts)
-        return float(self._model.probabilities(window)[self._model.labels.index(NO_TOUCH)])
 
     def _stop(self, reason: EndReason) -> None:
         since_s = self._clock.monotonic_s()
@@ -225,8 +221,8 @@ class Pipeline:
             meter=FeelMeter(self._tracker.baseline.counts, self._tracker.baseline.noise_floor, self._size_mm),
         )
         # The caller adds the newest frame, like those that follow.
-        for earlier in so_far[:-1]:
-            self._touch.meter.add(self._tracker.without_loose_wire(earlier.pressure))
+        for earlier in self._frames(frame.index + 1, len(so_far))[:-1]:
+            self._touch.meter.add(earlier)
         sensor_ms = _as_sent(so_far[0])
         self._emit(TouchBegan(touch=self._touch.number, time=self._now(), sensor_ms=sensor_ms, pad=self._pad))
 
@@ -251,9 +247,12 @@ class Pipeline:
             for show in viewers:
                 show(live)
 
+    def _frames(self, stop_index: int, length: int) -> NDArray[np.float32]:
+        """Return the frames before `stop_index` as the tracker sees them."""
+        return self._tracker.without_loose_wire(self._ring.window(stop_index, length))
+
     def _window(self, stop_index: int, length: int) -> NDArray[np.float32]:
-        window = self._tracker.without_loose_wire(self._ring.window(stop_index, length))
-        return as_known(window, self._tracker.baseline.counts)
+        return as_known(self._frames(stop_index, length), self._tracker.baseline.counts)
 
     def _answer_what_is_due(self, touch: Touch, frame: GridFrame) -> None:
         length = touch.length
@@ -362,6 +361,14 @@ class Pipeline:
 
     def _now(self) -> str:
         return timestamp(self._clock.epoch_s())
+
+
+def _question(model: Classifier) -> Question | None:
+    """Return how the tracker asks the model whether nothing touches the pad; None if it cannot tell."""
+    if NO_TOUCH not in model.labels:
+        return None
+    place = model.labels.index(NO_TOUCH)
+    return lambda frames, rest: float(model.probabilities(as_known(frames, rest))[place])
 
 
 def _as_sent(frame: GridFrame) -> int:

@@ -8,9 +8,11 @@ from numpy.typing import NDArray
 
 from touchd.drivers.frame import COLUMNS, ROWS
 
-PNoTouch = Callable[[NDArray[np.float32]], float]
+Window = NDArray[np.float32]
+PNoTouch = Callable[[Window], float]
 """The network's probability that nothing touches the pad in (T, 8, 8) counts."""
-Frames = NDArray[np.float32]
+Question = Callable[[Window, Window], float]
+"""The same, of a pad that rests at (64,) counts."""
 
 # The network is asked three times a second; three answers together begin or end a touch.
 ASK_FRAMES = 18
@@ -39,7 +41,7 @@ class NetworkCheck:
         self._at_rest: float | None = None
         self._answers: deque[float] = deque(maxlen=ANSWERS)
         # The last answer at rest that saw no touch, and the frames it was about.
-        self._untouched: tuple[float, Frames] | None = None
+        self._untouched: tuple[float, Window] | None = None
 
     @property
     def is_there(self) -> bool:
@@ -58,15 +60,15 @@ class NetworkCheck:
     def forget_answers(self) -> None:
         self._answers.clear()
 
-    def is_below(self, p_no_touch: float, frames: Frames) -> bool:
+    def is_below(self, p_no_touch: float, frames: Window) -> bool:
         """Whether p_no_touch of (T, 64) counts is below a limit; True without a network."""
         return self._ask(frames) < self._limit(p_no_touch)
 
-    def sees_touch(self, frames: Frames, p_no_touch: float) -> bool:
+    def sees_touch(self, frames: Window, p_no_touch: float) -> bool:
         """Like `is_below`, but False unless the network knows the pad at rest."""
         return self.knows_rest and self.is_below(p_no_touch, frames)
 
-    def begins_touch(self, frames: Frames) -> bool:
+    def begins_touch(self, frames: Window) -> bool:
         """Ask about a pad that seems untouched; return whether the last answers together see a touch."""
         answer = self._answered_before(frames)
         if answer is None:
@@ -78,7 +80,7 @@ class NetworkCheck:
         self._at_rest += (answer - self._at_rest) * (RISES if answer > self._at_rest else FALLS)
         return self.knows_rest and len(self._answers) == ANSWERS and self._mean < self._limit(TOUCH)
 
-    def _answered_before(self, frames: Frames) -> float | None:
+    def _answered_before(self, frames: Window) -> float | None:
         """Return the last answer at rest if it saw no touch, and the newest frames read the same."""
         if self._untouched is None:
             return None
@@ -90,7 +92,7 @@ class NetworkCheck:
         )
         return answer if is_same else None
 
-    def follow_touch(self, frames: Frames) -> None:
+    def follow_touch(self, frames: Window) -> None:
         """Ask about the last second of a touch."""
         self._answers.append(self._ask(frames))
 
@@ -104,7 +106,7 @@ class NetworkCheck:
     def _mean(self) -> float:
         return sum(self._answers) / len(self._answers)
 
-    def _ask(self, frames: Frames) -> float:
+    def _ask(self, frames: Window) -> float:
         return 0.0 if self._p_no_touch is None else self._p_no_touch(frames.reshape(-1, ROWS, COLUMNS))
 
     def _limit(self, p_no_touch: float) -> float:

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from touchd.daemon.events import EndReason
 from touchd.daemon.tracker.baseline import SECOND_FRAMES, TAXELS, Baseline, LastSecond, Taxels
 from touchd.daemon.tracker.loose_wire import LINES, LOOK_FRAMES, LooseWire
-from touchd.daemon.tracker.network_check import ASK_FRAMES, DOUBT, TOUCH, NetworkCheck, PNoTouch
+from touchd.daemon.tracker.network_check import ASK_FRAMES, DOUBT, TOUCH, NetworkCheck, Question
 from touchd.drivers.frame import FRAME_RATE_HZ, ROWS
 from touchd.drivers.pad.grid import GridFrame
 
@@ -184,16 +184,18 @@ Change: TypeAlias = Onset | Release | None
 class TouchTracker:
     """Takes the pad's frames one by one and returns where touches begin and end.
 
-    p_no_touch: see `NetworkCheck`. baseline: what is known of the untouched pad; it does not change during a
-    touch.
+    p_no_touch: None if no network knows "notouch". baseline: what is known of the untouched pad; it does not
+    change during a touch.
     """
 
-    def __init__(self, settings: TouchSettings, p_no_touch: PNoTouch | None = None) -> None:
+    def __init__(self, settings: TouchSettings, p_no_touch: Question | None = None) -> None:
         self.baseline = Baseline()
         self._settings = settings
         self._quiet_frames = round(settings.quiet_s * FRAME_RATE_HZ)
         self._release_counts = min(settings.onset_threshold, RELEASE_COUNTS)
-        self._network = NetworkCheck(p_no_touch)
+        self._network = NetworkCheck(
+            None if p_no_touch is None else lambda frames: p_no_touch(frames, self.baseline.counts)
+        )
         self._loose_wire = LooseWire()
         self._recent = LastSecond()
         self._state: State = MeasuringRest()

@@ -19,7 +19,8 @@ class TrackedPad(MadePad):
 
     def __init__(self, settings: TouchSettings | None = None, p_no_touch: PNoTouch | None = None) -> None:
         super().__init__()
-        self.tracker = TouchTracker(settings or TouchSettings(), p_no_touch)
+        question = None if p_no_touch is None else lambda frames, rest: p_no_touch(frames)
+        self.tracker = TouchTracker(settings or TouchSettings(), question)
         self.index = 0
         self.gap_ms = 0.0
 
