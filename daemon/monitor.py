@@ -33,7 +33,7 @@ log = logging.getLogger(__name__)
 # Interval at which lasting faults are noted again, by the frames' arrival.
 NOTE_S = 1.0
 # Faults that prevent detection, of light touches at least; others cost a part of the pad or some frames.
-DEGRADING = ("gaps", "frozen", "noise")
+DEGRADING = ("gaps", "restarts", "frozen", "noise")
 
 # Recognising a touch takes half a second of frames without a gap. If DEAF_S pass without it, that is a fault.
 WITHOUT_GAP_FRAMES = 27
@@ -44,6 +44,9 @@ PAUSE_S = 2.0
 # Interval at which the parser's counts are compared. One lost frame in fifty is a fault that will grow.
 COMPARE_S = 10.0
 MANY_SHARE = 0.02
+
+# A pad that restarts this often within this time is degraded.
+OFTEN_RESTARTS, OFTEN_S = 3, 60.0
 
 # Rest is checked nine times a second. The noise measured while a hand leaves is too high, and falls within
 # three seconds; a pad counts as noisy after five.
@@ -185,7 +188,7 @@ class _Gaps:
 
 
 class _LineFaults:
-    """Whether a parser refuses more than a few frames, and whether it skips the pad's clock."""
+    """Whether a parser refuses more than a few frames, skips the pad's clock, or sees the pad restart often."""
 
     def __init__(self, parser: FrameParser, where: str) -> None:
         self.faults: dict[str, str] = {}
@@ -193,9 +196,12 @@ class _LineFaults:
         self._where = where
         self._before = replace(parser.counts)
         self._compared_s = -math.inf
+        self._restarts = parser.counts.restarts
+        self._restarts_s: deque[float] = deque(maxlen=OFTEN_RESTARTS)
 
     def update(self, now_s: float) -> None:
-        """Compare the counts every COMPARE_S of arrival; look at the clock each time."""
+        """Compare the counts every COMPARE_S of arrival; look at the clock and for restarts each time."""
+        self._count_restarts(now_s)
         note = self._parser.clock.note
         if note and "clock" not in self.faults:
             self.faults["clock"] = f"{self._where}: {note}"
@@ -212,6 +218,9 @@ class _LineFaults:
         for kind in ("line", "full scale"):
             self.faults.pop(kind, None)
         intact, refused = counts.frames - before.frames, counts.bad - before.bad
+        if counts.restarts > before.restarts:
+            # What the board prints when it crashes and starts is not damage.
+            refused = 0
         if intact and refused > MANY_SHARE * (intact + refused):
             advice = "try a shorter cable and another USB port, no hub"
             if "://" in self._where:
@@ -225,6 +234,20 @@ class _LineFaults:
             self.faults["full scale"] = (
                 f"{self._where}: {above}; if firm presses do that, set a larger one in sensor.format"
             )
+
+    def _count_restarts(self, now_s: float) -> None:
+        if self._parser.counts.restarts != self._restarts:
+            self._restarts = self._parser.counts.restarts
+            self._restarts_s.append(now_s)
+            log.debug("%s: the pad restarted", self._where)
+        is_often = len(self._restarts_s) == OFTEN_RESTARTS and now_s - self._restarts_s[0] <= OFTEN_S
+        if is_often and "restarts" not in self.faults:
+            self.faults["restarts"] = (
+                f"{self._where}: the pad restarted {OFTEN_RESTARTS} times in a minute, which may cut touches; is "
+                "its supply too weak, or does its firmware crash?"
+            )
+        elif not is_often:
+            self.faults.pop("restarts", None)
 
 
 class _Rest:

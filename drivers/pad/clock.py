@@ -16,6 +16,10 @@ A later frame decides:
 
 So a real reset delays the first frame by one frame time and loses none, even with damaged frames in between.
 A restart within 250 ms of the last one cannot be detected.
+
+If a clock that was followed for a second steps back, the board has restarted. Its frames are then dated on from
+the last frame before, by how much later they arrived: a touch may go on, and rest stays known. A clock that
+steps back sooner, as when two boards send on one line, is delivered as it is.
 """
 
 import math
@@ -41,6 +45,8 @@ NOT_USED = "; it is not used, and frames are dated by their arrival"
 # Below 256 ms: a flipped bit that the checksum cannot see moves the clock by at least that.
 MAX_STEP_MS = 250
 MAX_HELD = 8
+# A clock that was followed for this long before it steps back has restarted.
+FOLLOWED_S = 1.0
 
 
 class FrameClock:
@@ -51,6 +57,7 @@ class FrameClock:
 
     def __init__(self, counts: ProtocolCounts, rate_hz: float) -> None:
         self.note = ""
+        self.counts = counts
         self._check = ClockCheck(counts)
         self._arrivals = ArrivalClock(rate_hz)
         self._rate_hz = rate_hz
@@ -175,30 +182,34 @@ def _as_ms(stamp: float, unit_ms: float) -> int:
 
 
 class ClockCheck:
-    """Judges each well-formed frame by its clock; counts what it refuses in `counts`."""
+    """Judges each well-formed frame by its clock; counts what it refuses, and restarts, in `counts`."""
 
     def __init__(self, counts: ProtocolCounts) -> None:
         self._counts = counts
-        self._last_ms: int | None = None
+        self._last: Reading | None = None
         self._held: list[Reading] = []
+        # When the clock that is followed was first seen, and what to add to it after restarts.
+        self._since_s = 0.0
+        self._ahead_ms = 0
 
     def reset(self) -> None:
         """Forget the clock: the port was reopened, and the sensor may have restarted."""
-        self._last_ms = None
+        self._last = None
+        self._ahead_ms = 0
         self._refuse_held()
 
     def is_on_time(self, sensor_ms: int) -> bool:
         """Whether a frame of that time agrees with the clock followed so far."""
-        return self._last_ms is not None and _steps_on(self._last_ms, sensor_ms)
+        return self._last is not None and _steps_on(self._last.sensor_ms, sensor_ms)
 
     def judge(self, reading: Reading) -> list[Reading]:
         """Return what can be delivered now: nothing, this reading, or held ones it confirms and this."""
         now_ms = reading.sensor_ms
         if self.is_on_time(now_ms):
-            self._last_ms = now_ms
             self._refuse_held()
-            return [reading]
-        if now_ms == self._last_ms or any(now_ms == held.sensor_ms for held in self._held):
+            return self._deliver([reading])
+        is_last = self._last is not None and now_ms == self._last.sensor_ms
+        if is_last or any(now_ms == held.sensor_ms for held in self._held):
             self._counts.duplicates += 1
             return []
         run, others = [reading], []
@@ -208,15 +219,31 @@ class ClockCheck:
             else:
                 others.append(held)
         if len(run) > 1:
-            self._last_ms = now_ms
             self._held = others
             self._refuse_held()
-            return run
+            self._follow(run[0])
+            return self._deliver(run)
         self._held.append(reading)
         if len(self._held) > MAX_HELD:
             del self._held[0]
             self._counts.bad_time += 1
         return []
+
+    def _follow(self, first: Reading) -> None:
+        """Follow another clock from this frame on; after a restart, date it by arrival."""
+        last, since_s, self._since_s = self._last, self._since_s, first.host_s
+        if last is None or first.host_s - since_s < FOLLOWED_S:
+            return
+        if (first.sensor_ms - last.sensor_ms) % CLOCK_MODULUS > CLOCK_MODULUS // 2:
+            later_ms = max(1, round(1000 * (first.host_s - last.host_s)))
+            self._ahead_ms += last.sensor_ms + later_ms - first.sensor_ms
+            self._counts.restarted(first.host_s)
+
+    def _deliver(self, run: list[Reading]) -> list[Reading]:
+        self._last = run[-1]
+        if not self._ahead_ms:
+            return run
+        return [one._replace(sensor_ms=(one.sensor_ms + self._ahead_ms) % CLOCK_MODULUS) for one in run]
 
     def _refuse_held(self) -> None:
         self._counts.bad_time += len(self._held)

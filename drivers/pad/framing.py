@@ -1,9 +1,13 @@
 """What every parser shares: the count of what was refused, and frames before their clock is judged."""
 
+import math
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 from touchd.drivers.frame import Counts
+
+# A boot log and the clock's step back within this time are one restart.
+ONE_RESTART_S = 2.0
 
 Damage = Literal["bad_framing", "bad_value", "bad_checksum", "bad_time"]
 
@@ -17,7 +21,7 @@ class ProtocolCounts:
     header, garbage, a malformed line). bad_checksum, bad_value (a float that is not a number), bad_time
     (disagrees with the sensor's clock): frames refused for that. duplicates: frames that repeat a clock
     already taken. clipped: frames delivered whose values above full scale were cut to it. bytes_dropped:
-    bytes that belong to no well-formed frame.
+    bytes that belong to no well-formed frame. restarts: of the board, at `restarted_s` the last time.
     """
 
     frames: int = 0
@@ -28,6 +32,8 @@ class ProtocolCounts:
     duplicates: int = 0
     clipped: int = 0
     bytes_dropped: int = 0
+    restarts: int = 0
+    restarted_s: float = -math.inf
 
     @property
     def bad(self) -> int:
@@ -38,6 +44,11 @@ class ProtocolCounts:
         """Count a frame that is refused, and the bytes dropped with it."""
         setattr(self, damage, getattr(self, damage) + 1)
         self.bytes_dropped += dropped
+
+    def restarted(self, host_s: float) -> None:
+        """Count a restart of the board that was noticed at `host_s`."""
+        self.restarts += host_s - self.restarted_s > ONE_RESTART_S
+        self.restarted_s = host_s
 
 
 class Reading(NamedTuple):

@@ -10,6 +10,9 @@ from touchd.drivers.pad.clock import FrameClock
 from touchd.drivers.pad.format import PadFormat, Values, layout_of
 from touchd.drivers.pad.framing import ProtocolCounts, Reading
 
+# What an ESP32 or ESP8266 prints when it crashes and starts.
+BOOT_LOG = (b"Guru Meditation", b"rst:0x", b"rst cause", b"Brownout detector", b"ESP-ROM:")
+
 
 class FrameParser(ABC):
     """A parser: drops and counts damaged frames, never raises on them, keeps a bounded number of bytes."""
@@ -31,6 +34,8 @@ class FrameParser(ABC):
 
     def feed(self, data: bytes, host_s: float) -> list[Frame]:
         """Take bytes that arrived at `host_s` (monotonic seconds); return the frames they completed."""
+        if any(mark in data for mark in BOOT_LOG):
+            self.counts.restarted(host_s)
         readings = self._parse(data, host_s)
         first = self.counts.frames
         self.counts.frames += len(readings)

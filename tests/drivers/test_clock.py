@@ -205,6 +205,28 @@ def test_a_daemon_stopped_for_long_does_not_discredit_a_clock() -> None:
             assert clock.note == ""
 
 
+@pytest.mark.parametrize("unit", [1.0, 1000.0, 0.001], ids=["ms", "microseconds", "seconds"])
+def test_a_clock_that_restarts_is_dated_on_by_arrival(unit: float) -> None:
+    clock, frames = dated(lambda second: unit * (7 + 1000 * (second % 3)), 60.0)
+    assert clock.note == ""
+    assert len(frames) >= 54 * 60 - 2
+    # Until its unit is known, a clock with a fraction is not used.
+    steps_ms = np.diff([ms for _, ms in frames[108:]])
+    assert (steps_ms.min(), steps_ms.max()) == (pytest.approx(18, abs=2), pytest.approx(19, abs=2))
+    assert clock.counts.restarts == 19
+
+
+def test_a_pause_while_the_board_starts_is_dated_as_long_as_it_was() -> None:
+    clock, frames = dated(lambda second: round(1000 * (second % 3)), 9.0, lambda second: second + second // 3 * 0.8)
+    steps_ms = np.diff([ms for _, ms in frames])
+    assert sorted(steps_ms)[-2:] == [pytest.approx(819, abs=2)] * 2
+
+
+def test_two_boards_on_one_line_are_not_restarts() -> None:
+    clock, _ = dated(lambda second: round(1000 * second) + 90_000 * (second % 0.3 < 0.15), 30.0)
+    assert clock.counts.restarts == 0
+
+
 def test_a_skipped_clock_is_used_once_it_counts_milliseconds() -> None:
     clock = FrameClock(ProtocolCounts(), 54.0)
     for number in range(54 * 30):
