@@ -188,7 +188,7 @@ class _Gaps:
 
 
 class _LineFaults:
-    """Whether a parser refuses more than a few frames, skips the pad's clock, or sees the pad restart often."""
+    """Whether a parser refuses more than a few frames or skips the clock, and the pad often restarts."""
 
     def __init__(self, parser: FrameParser, where: str) -> None:
         self.faults: dict[str, str] = {}
@@ -243,8 +243,8 @@ class _LineFaults:
         is_often = len(self._restarts_s) == OFTEN_RESTARTS and now_s - self._restarts_s[0] <= OFTEN_S
         if is_often and "restarts" not in self.faults:
             self.faults["restarts"] = (
-                f"{self._where}: the pad restarted {OFTEN_RESTARTS} times in a minute, which may cut touches; is "
-                "its supply too weak, or does its firmware crash?"
+                f"{self._where}: the pad restarted {OFTEN_RESTARTS} times in a minute, which may cut "
+                "touches; is its supply too weak, or does its firmware crash?"
             )
         elif not is_often:
             self.faults.pop("restarts", None)

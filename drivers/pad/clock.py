@@ -17,9 +17,9 @@ A later frame decides:
 So a real reset delays the first frame by one frame time and loses none, even with damaged frames in between.
 A restart within 250 ms of the last one cannot be detected.
 
-If a clock that was followed for a second steps back, the board has restarted. Its frames are then dated on from
-the last frame before, by how much later they arrived: a touch may go on, and rest stays known. A clock that
-steps back sooner, as when two boards send on one line, is delivered as it is.
+If a clock that was followed for a second steps back, the board has restarted. Its frames are then dated on
+from the last frame before, by how much later they arrived: a touch may go on, and rest stays known. A clock
+that steps back sooner, as when two boards send on one line, is delivered as it is.
 """
 
 import math

@@ -12,6 +12,7 @@ from touchd.drivers.pad.framing import ProtocolCounts, Reading
 
 # What an ESP32 or ESP8266 prints when it crashes and starts.
 BOOT_LOG = (b"Guru Meditation", b"rst:0x", b"rst cause", b"Brownout detector", b"ESP-ROM:")
+LONGEST_MARK = max(map(len, BOOT_LOG))
 
 
 class FrameParser(ABC):
@@ -23,6 +24,7 @@ class FrameParser(ABC):
         self._layout = layout_of(described)
         self.clock = FrameClock(self.counts, described.rate_hz)
         self._buffer = b""
+        self._tail = b""
 
     def ask_in_s(self, now_s: float) -> float:
         """Return how long to wait before asking for the next frame; infinite for a pad that sends."""
@@ -34,7 +36,9 @@ class FrameParser(ABC):
 
     def feed(self, data: bytes, host_s: float) -> list[Frame]:
         """Take bytes that arrived at `host_s` (monotonic seconds); return the frames they completed."""
-        if any(mark in data for mark in BOOT_LOG):
+        latest = self._tail + data
+        self._tail = latest[1 - LONGEST_MARK :]
+        if any(mark in latest for mark in BOOT_LOG):
             self.counts.restarted(host_s)
         readings = self._parse(data, host_s)
         first = self.counts.frames
@@ -48,7 +52,7 @@ class FrameParser(ABC):
     def reset(self) -> None:
         """Forget half a frame and the clock after a reconnect; counts and frame numbers go on."""
         self.counts.bytes_dropped += len(self._buffer)
-        self._buffer = b""
+        self._buffer = self._tail = b""
         self.clock.reset()
 
     def _judge(self, stamp: float | None, host_s: float, values: Values, highest: float) -> list[Reading]:

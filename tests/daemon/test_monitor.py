@@ -228,16 +228,15 @@ TRY = "try a shorter cable and another USB port, no hub"
 UDP = "udp://0.0.0.0:4000"
 
 
-def watch(parser: FrameParser, packets: list[bytes], where: str = "COM3", turns: int = 1) -> None:
-    """After a first frame, spread the packets over one check interval, and repeat that `turns` times."""
+def watch(parser: FrameParser, packets: list[bytes], where: str = "COM3", intervals: int = 1) -> None:
+    """After a first frame, spread the packets over some check intervals."""
     monitor = PadMonitor(parser=parser, where=where)
     still = np.zeros((8, 8), np.uint16)
     monitor.on_frame(Frame(0, 0, 0.0, still), restarted=False)
-    for turn in range(turns):
-        for number, packet in enumerate(packets, 1):
-            now_s = COMPARE_S * (turn + number / len(packets))
-            parser.feed(packet, now_s)
-            monitor.on_frame(Frame(0, round(1000 * now_s), now_s, still), restarted=False)
+    for number, packet in enumerate(packets, 1):
+        now_s = COMPARE_S * intervals * number / len(packets)
+        parser.feed(packet, now_s)
+        monitor.on_frame(Frame(0, round(1000 * now_s), now_s, still), restarted=False)
 
 
 def pressed(counts: int, numbers: range) -> list[bytes]:
@@ -245,7 +244,8 @@ def pressed(counts: int, numbers: range) -> list[bytes]:
     return [encode_frame(SENT, frame, round(1000 * number / 54)) for number in numbers]
 
 
-FIRM_PRESSES = pressed(100, range(420)) + pressed(900, range(420, 540))
+def firm_presses(first: int) -> list[bytes]:
+    return pressed(100, range(first, first + 420)) + pressed(900, range(first + 420, first + 540))
 
 
 def faulty(**every: int) -> list[bytes]:
@@ -257,7 +257,7 @@ def faulty(**every: int) -> list[bytes]:
 @pytest.mark.parametrize(
     ("parser", "packets", "where", "warning"),
     [
-        (parser_of(CONFIGURED), FIRM_PRESSES, "COM3", ABOVE),
+        (parser_of(CONFIGURED), firm_presses(0), "COM3", ABOVE),
         (FabricGrid(), faulty(flip_bit_every=20), "COM3", f"COM3: {MANY}; {TRY}"),
         (FabricGrid(), faulty(flip_bit_every=20), UDP, f"{UDP}: {MANY}; does another board send there too?"),
         (FabricGrid(), faulty(), "COM3", None),
@@ -278,7 +278,7 @@ def test_frames_lost_on_the_line_are_logged_with_advice(
 
 
 def test_continuing_losses_on_the_line_are_logged_once(caplog: pytest.LogCaptureFixture) -> None:
-    watch(parser_of(CONFIGURED), FIRM_PRESSES, turns=20)
+    watch(parser_of(CONFIGURED), firm_presses(0), turns=20)
     assert caplog.messages == [ABOVE]
 
 

@@ -217,7 +217,9 @@ def test_a_clock_that_restarts_is_dated_on_by_arrival(unit: float) -> None:
 
 
 def test_a_pause_while_the_board_starts_is_dated_as_long_as_it_was() -> None:
-    clock, frames = dated(lambda second: round(1000 * (second % 3)), 9.0, lambda second: second + second // 3 * 0.8)
+    _, frames = dated(
+        lambda second: round(1000 * (second % 3)), 9.0, lambda second: second + second // 3 * 0.8
+    )
     steps_ms = np.diff([ms for _, ms in frames])
     assert sorted(steps_ms)[-2:] == [pytest.approx(819, abs=2)] * 2
 
