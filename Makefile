@@ -96,7 +96,7 @@ soak: $(RUNTIME)
 	$$(sed -n 's/^Environment=/env /p' systemd/touchd.service) PYTHONPATH=.:tests $(BIN)/python -m by_hand.soak --out model/studies/stored/soak.json
 
 expectations: $(RUNTIME)
-	PYTHONPATH=tests $(BIN)/python -m rigs.expectations $(if $(RECORD),--record) $(if $(ADD),--add $(ADD))
+	PYTHONPATH=tests $(BIN)/python -m rigs.rebuild $(if $(RECORD),--record) $(if $(ADD),--add $(ADD))
 
 # PREFIX/touchd becomes a virtual environment of the service's own. DESTDIR: where a package is put together.
 # BINDIR: where the command is linked, for every shell. SYSTEM: where systemd and udev look, /usr/lib in a package.

@@ -1,28 +1,30 @@
-"""The streams in tests/recordings, each a pad, a touch or a fault, give the expected events."""
+"""The streams and lines in tests/recordings, each a pad, a touch or a fault, give the expected events."""
 
 from pathlib import Path
 
 import pytest
-from rigs import expectations
-from rigs.expectations import FOLDER, STREAMS, expectation_of, expected, holds, streams, told_of
+from rigs import pairs, rebuild
+from rigs.expectations import FOLDER, expectation_of, expected
+from rigs.lines import LINES, read_line
+from rigs.streams import STREAMS
 
-from touchd.drivers.recording import read_provenance
 from touchd.model.classifier import Classifier
 
 
-@pytest.mark.parametrize("path", streams(), ids=lambda path: path.name.removesuffix(".csv.gz"))
+@pytest.mark.parametrize("path", pairs.paths(), ids=lambda path: path.name.partition(".")[0])
 def test_a_stream_gives_its_expected_events(path: Path, classifier: Classifier) -> None:
-    assert told_of(path, classifier) == expected(path), read_provenance(path).get("title")
+    assert pairs.told_of(path, classifier) == expected(path)
 
 
-def test_every_stream_has_a_title_and_expected_events() -> None:
-    assert len(streams()) >= 30
-    assert [path.name for path in streams() if not expectation_of(path).exists()] == []
-    assert [path.name for path in streams() if not read_provenance(path).get("title")] == []
+def test_every_stream_has_its_expected_events() -> None:
+    assert len(pairs.paths()) >= 30
+    assert [path.name for path in pairs.paths() if not expectation_of(path).exists()] == []
 
 
 def test_the_made_up_streams_are_what_their_functions_make() -> None:
-    assert [name for name, make in STREAMS.items() if not holds(FOLDER / f"{name}.csv.gz", make())] == []
+    others = [name for name, made in STREAMS.items() if not pairs.holds(FOLDER / f"{name}.csv.gz", made())]
+    others += [name for name, made in LINES.items() if read_line(FOLDER / f"{name}.line.gz") != made()]
+    assert others == []
 
 
 def test_a_command_adds_a_stream_with_its_expected_events(
@@ -30,7 +32,8 @@ def test_a_command_adds_a_stream_with_its_expected_events(
 ) -> None:
     tap = FOLDER / "touch-brief-tap.csv.gz"
     shipped = expected(tap)
-    monkeypatch.setattr(expectations, "FOLDER", tmp_path)
-    monkeypatch.setattr(expectations, "RECORDINGS", {})
-    expectations.main(["--add", str(tap)])
+    for module in ("expectations", "pairs"):
+        monkeypatch.setattr(f"rigs.{module}.FOLDER", tmp_path)
+    monkeypatch.setattr(rebuild, "RECORDINGS", {})
+    rebuild.main(["--add", str(tap)])
     assert expected(tmp_path / tap.name) == shipped

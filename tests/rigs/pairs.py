@@ -1,0 +1,144 @@
+"""The streams and lines in tests/recordings, and what the daemon tells of each.
+
+A stream (.csv.gz) holds frames, as `touchd record` writes them; a line (.line.gz) holds bytes as they arrive.
+"""
+
+import inspect
+import logging
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+from rigs.expectations import FOLDER, RECORDINGS, outline
+from rigs.lines import LINES, read_line, write_line
+from rigs.streams import STREAMS, Sent
+
+from touchd.daemon.config import Settings
+from touchd.daemon.events import Event, SensorEvent
+from touchd.daemon.monitor import PadMonitor
+from touchd.daemon.pipeline import Clock, Pipeline
+from touchd.drivers.frame import CLOCK_MODULUS, Counts, Frame, SensorState
+from touchd.drivers.pad.parser import FrameParser
+from touchd.drivers.pad.protocol import parser_of
+from touchd.drivers.recording import Recording, read_recordings, write_recordings
+from touchd.model.classifier import Classifier
+
+LINE_SUFFIX = ".line.gz"
+# The reader reports the pad as down after this much silence.
+SILENCE_S = 2.0
+# A step of the pad's clock beyond this is not time that passes.
+LONGEST_STEP_S = 60.0
+PERIOD_S = 0.0185
+
+Told = list[dict[str, object]]
+
+
+def paths() -> list[Path]:
+    """Return the streams and lines beside the shipped recordings: each a pad, a touch or a fault."""
+    return sorted({*FOLDER.glob("*.csv.gz"), *FOLDER.glob(f"*{LINE_SUFFIX}")} - RECORDINGS.keys())
+
+
+def told_of(path: Path, classifier: Classifier) -> Told:
+    """Return what the daemon tells: events, the pad's states, warnings, at a line's end what was refused."""
+    if not path.name.endswith(LINE_SUFFIX):
+        return Listener(classifier).hear_all(_arrivals(path))
+    described, pieces = read_line(path)
+    parser = parser_of(described)
+    listener = Listener(classifier, parser)
+    for at_ms, data in pieces:
+        if data is None:
+            parser.reset()
+        else:
+            listener.hear_all(
+                [(at_ms / 1000, frame) for frame in parser.feed(data, at_ms / 1000)], ends=False
+            )
+    told = listener.hear_all(())
+    refused = {name: count for name, count in asdict(parser.counts).items() if count}
+    return [*told, {"type": "line", **refused, "clock": parser.clock.note}]
+
+
+def _arrivals(path: Path) -> Iterator[tuple[float, Frame]]:
+    """Yield a stream's frames, each when its pad sent it."""
+    now_s, before_ms = 0.0, None
+    for number, (ms, counts) in enumerate(_frames(path)):
+        if before_ms is not None:
+            step_s = (ms - before_ms) % CLOCK_MODULUS / 1000
+            now_s += step_s if step_s <= LONGEST_STEP_S else PERIOD_S
+        before_ms = ms
+        yield now_s, Frame(number, ms, now_s, counts)
+
+
+class Listener:
+    """A pipeline in the pad's own time; keeps what it tells. parser: of a line, for the monitor."""
+
+    def __init__(self, classifier: Classifier, parser: FrameParser | None = None) -> None:
+        self.told: Told = []
+        self._now_s = 0.0
+        self._heard_s: float | None = None
+        clock = Clock(monotonic_s=lambda: self._now_s)
+        monitor = PadMonitor(parser=parser, where="the line")
+        self._pipeline = Pipeline(Settings().pipeline, classifier, self._put, clock, monitor=monitor)
+
+    def hear_all(self, arrivals: Iterable[tuple[float, Frame]], *, ends: bool = True) -> Told:
+        """Take frames as they arrive, and the end of the stream; return all that was told."""
+        handler = logging.Handler(logging.WARNING)
+        handler.emit = lambda record: self.told.append(  # type: ignore[method-assign]
+            {"type": "log", "line": record.getMessage()}
+        )
+        logging.getLogger("touchd").addHandler(handler)
+        try:
+            for now_s, frame in arrivals:
+                self._hear(now_s, frame)
+            if ends:
+                self._pipeline.flush()
+        finally:
+            logging.getLogger("touchd").removeHandler(handler)
+        return self.told
+
+    def _hear(self, now_s: float, frame: Frame) -> None:
+        self._now_s = now_s
+        if self._heard_s is None or now_s - self._heard_s > SILENCE_S:
+            if self._heard_s is not None:
+                self._pipeline.on_sensor_state(SensorState("down", "no data for 2 s", "silent"))
+            self._pipeline.on_sensor_state(SensorState("up", "frames arrive"))
+        self._heard_s = now_s
+        self._pipeline.on_frame(frame)
+
+    def _put(self, event: Event) -> None:
+        if isinstance(event, SensorEvent):
+            self.told.append({"type": "sensor", "state": event.state, "reason": event.reason})
+        self.told.extend(outline([event]))
+
+
+def make(name: str) -> None:
+    """Write a made-up stream or line, unless the file holds the same already."""
+    if name in LINES:
+        path, line = FOLDER / f"{name}{LINE_SUFFIX}", LINES[name]()
+        if not path.exists() or read_line(path) != line:
+            write_line(path, line, inspect.getdoc(LINES[name]) or name)
+        return
+    path, made = FOLDER / f"{name}.csv.gz", STREAMS[name]()
+    if not holds(path, made):
+        path.unlink(missing_ok=True)
+        source = {
+            "title": inspect.getdoc(STREAMS[name]) or name,
+            "source": "SIMULATED by tests/rigs/streams.py; no person's data",
+            "licence": "Apache-2.0",
+        }
+        write_recordings(path, [Recording("simulated", "none", "none", "stream", *made, "live")], source)
+        path.chmod(0o644)
+
+
+def holds(path: Path, made: Sent) -> bool:
+    """Whether a file holds these frames already: packed again, it would have other bytes."""
+    if not path.exists():
+        return False
+    clock_ms, counts = zip(*_frames(path), strict=True)
+    return np.array_equal(np.stack(counts), made.counts) and list(clock_ms) == made.sensor_ms.tolist()
+
+
+def _frames(path: Path) -> Iterator[tuple[int, Counts]]:
+    """Yield a stream's clock and counts as the file holds them."""
+    for recording in read_recordings(path):
+        yield from zip(recording.sensor_ms.tolist(), recording.counts.astype(np.uint16), strict=True)
