@@ -127,8 +127,9 @@ def _complain(error: Exception) -> int:
 
     what, code = str(error), USERS_MISTAKE
     if isinstance(error, ModuleNotFoundError) and (extra := extra_of(error.name or "")):
-        size = f", {SIZES[extra]} on the disk" if extra in SIZES else ""
-        what = f"{error.name} is not installed (extra {extra}{size}): {how_to_install(extra)}"
+        # As a comment: the line's end may be pasted into a shell.
+        size = f"  # {SIZES[extra]} on the disk" if extra in SIZES else ""
+        what = f"{error.name} is not installed (extra {extra}): {how_to_install(extra)}{size}"
     elif isinstance(error, ImportError) and (library := NOT_THERE.search(str(error))):
         what = f"{library[1]}, a library of the system, is not there; install the package that brings it"
     elif isinstance(error, OSError) and error.errno == errno.ENOSPC:

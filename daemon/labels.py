@@ -62,7 +62,8 @@ class Labeller:
         folder = self._folders.get(pad)
         if folder is None:
             return f"{count} touches labelled; set journal.keep_touches, so that touchd can learn from them"
-        how = f"{program_name()} train --extra {shlex.quote(str(folder))}"
+        # A gesture that nobody has labelled yet must not be dropped.
+        how = f"{program_name()} train --keep-all --extra {shlex.quote(str(folder))}"
         return f"{count} touches labelled; to learn from them: {how}"
 
 

@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 from touchd.drivers.frame import NO_TOUCH
 from touchd.drivers.recording import Recording
-from touchd.model.adapt.backbone import BAR, CropFeatures, WindowFeatures, crops, split, windows
+from touchd.model.adapt.backbone import BAR, CropFeatures, WindowFeatures, crops, ended, split, windows
 from touchd.model.adapt.head import AdaptSettings, fit, rebuilt
 from touchd.model.adapt.measure import Answers, Comparison, compare, cross_entropy
 from touchd.model.adapt.plan import Fold, plan
@@ -66,7 +66,10 @@ class Pretrained:
 
 @dataclass(frozen=True, eq=False)
 class Adapted:
-    """A fine-tuned head and its cross-validation. known: labels of the pretrained network."""
+    """A fine-tuned head and its cross-validation.
+
+    known: labels of the pretrained network. unlabelled: number of touches in the folder that nobody labelled.
+    """
 
     known: tuple[str, ...]
     labels: tuple[str, ...]
@@ -74,15 +77,17 @@ class Adapted:
     head: nn.Sequential
     temperatures: dict[int, float]
     comparison: Comparison
+    unlabelled: int = 0
 
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """Recordings with the backbone's features of their crops and windows."""
+    """Recordings with the backbone's features of their crops and windows, and of ended touches in passing."""
 
     recordings: Sequence[Recording]
     shown: CropFeatures
     windows: Mapping[int, WindowFeatures]
+    ended: WindowFeatures
 
 
 def prepare(pretrained: Pretrained, recordings: Sequence[Recording], settings: AdaptSettings) -> Features:
@@ -91,6 +96,7 @@ def prepare(pretrained: Pretrained, recordings: Sequence[Recording], settings: A
         recordings,
         crops(pretrained.backbone, recordings, pretrained.augmentation, settings.crops, settings.seed),
         windows(pretrained.backbone, recordings),
+        ended(pretrained.backbone, recordings),
     )
 
 
@@ -120,6 +126,7 @@ def adapt(
     is_new = [label in new for label in labels]
     turns = list(zip(heads, planned.folds, strict=True))
     answers = {length: _answers(begin, is_new, turns, material.windows[length]) for length in LENGTHS}
+    in_passing = _answers(begin, is_new, turns, material.ended)
     return Adapted(
         known=known,
         labels=labels,
@@ -131,7 +138,7 @@ def adapt(
             )
             for length in LENGTHS
         },
-        comparison=compare(answers, material.recordings, labels, known, planned.left_out),
+        comparison=compare(answers, material.recordings, labels, known, planned.left_out, in_passing),
     )
 
 

@@ -18,6 +18,7 @@ from tqdm import tqdm
 from touchd.drivers.frame import NO_TOUCH
 from touchd.drivers.recording import Recording
 from touchd.model.adapt.augment import Frames, begin_from_rest, crop, vary
+from touchd.model.adapt.passing import InPassing, varied, when_answered
 from touchd.model.settings import LENGTHS, AugmentationSettings
 from touchd.model.tgc import TGC
 
@@ -33,6 +34,7 @@ AS_IT_IS = {"published_framing": 0.0, "change_pace": 0.0, "onset": 0.0}
 class CropFeatures:
     """Summaries of varied crops: values (N, crops, 4, features), at each of LEARNT_LENGTHS.
 
+    Those of a touch in passing are at four lengths after its end instead.
     within: (N, 4) bool, whether the recording is that long. gestures: (N,) names.
     """
 
@@ -74,6 +76,10 @@ def crops(
     values = []
     shown = tqdm(recordings, desc="preparing", bar_format=BAR, leave=False, disable=None)
     for i, recording in enumerate(shown):
+        if isinstance(recording, InPassing):
+            touches, ends = varied(recording, each, len(LEARNT_LENGTHS), rng)
+            values.append(backbone.at_own_lengths(vary(touches, settings, rng), ends))
+            continue
         own = settings
         if len(counts[i]) <= length:
             own = msgspec.structs.replace(settings, **AS_IT_IS)
@@ -83,7 +89,9 @@ def crops(
             still = crop(frames, chosen, length, msgspec.structs.replace(own, **AS_IT_IS), rng)
             windows = begin_from_rest(windows, still, own, rng)
         values.append(backbone.at_lengths(vary(windows, settings, rng), LEARNT_LENGTHS))
-    lengths = torch.tensor([len(frames) for frames in counts])
+    lengths = torch.tensor(
+        [length if isinstance(recording, InPassing) else len(recording.counts) for recording in recordings]
+    )
     within = lengths[:, None] >= torch.tensor(LEARNT_LENGTHS)
     return CropFeatures(torch.stack(values), within, tuple(recording.gesture for recording in recordings))
 
@@ -95,6 +103,7 @@ def windows(backbone: TGC, recordings: Sequence[Recording]) -> dict[int, WindowF
         cut = [
             (owner, recording.counts[start : start + length])
             for owner, recording in enumerate(recordings)
+            if not isinstance(recording, InPassing)
             for start in _starts(len(recording.counts), length)
         ]
         values = [torch.zeros(0, 3 * backbone.settings.width)]
@@ -104,6 +113,19 @@ def windows(backbone: TGC, recordings: Sequence[Recording]) -> dict[int, WindowF
         owners = np.array([owner for owner, _ in cut], dtype=np.int64)
         found[length] = WindowFeatures(torch.cat(values), owners)
     return found
+
+
+def ended(backbone: TGC, recordings: Sequence[Recording]) -> WindowFeatures:
+    """Return the summaries of touches in passing when the daemon answers them."""
+    owners = [i for i, recording in enumerate(recordings) if isinstance(recording, InPassing)]
+    if not owners:
+        return WindowFeatures(torch.zeros(0, 3 * backbone.settings.width), np.zeros(0, np.int64))
+    touches, lengths = when_answered([each for each in recordings if isinstance(each, InPassing)])
+    values = [
+        backbone.at_own_lengths(touches[i : i + BATCH], lengths[i : i + BATCH]).squeeze(1)
+        for i in range(0, len(owners), BATCH)
+    ]
+    return WindowFeatures(torch.cat(values), np.array(owners, dtype=np.int64))
 
 
 def _starts(frames: int, length: int) -> list[int]:

@@ -5,6 +5,7 @@ import re
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,11 +16,11 @@ from touchd.drivers.recording import (
     UNLABELLED,
     Recording,
     RecordingError,
-    on_grid,
     read_recordings,
     realign,
     set_up,
 )
+from touchd.model.adapt.passing import LEAST_AFTER_FRAMES, InPassing, joined
 from touchd.model.classifier import LONGEST_LABEL, MOST_LABELS, as_known
 
 # The first answer needs 54 frames.
@@ -36,21 +37,38 @@ class ExtraError(TouchdError):
     """A folder of recordings cannot be used for training; the message names it, the reason and the remedy."""
 
 
+class Read(NamedTuple):
+    """What a folder holds. unlabelled: number of saved touches without a label, which are passed over."""
+
+    recordings: list[Recording]
+    unlabelled: int
+
+
 def read_folder(folder: Path, known: Sequence[str], keep_all: bool = False) -> list[Recording]:
+    """Return the recordings of a folder: see `read_all`."""
+    return read_all(folder, known, keep_all).recordings
+
+
+def read_all(folder: Path, known: Sequence[str], keep_all: bool = False) -> Read:
     """Return all recordings as whole scans at 54 Hz, in the order of the file names.
 
-    If the pad rests high, the rest is subtracted, as the daemon does for the network: see `as_known`.
+    A short touch comes with the rest around it: see `InPassing`. If the pad rests high, the rest is
+    subtracted, as the daemon does for the network: see `as_known`.
     known: gestures of the model to adapt. keep_all: whether it keeps those without recordings.
     Raises ExtraError.
     """
     recordings: list[Recording] = []
     first_of: dict[bytes, Path] = {}
-    frames = 0
+    frames = unlabelled = 0
     files = files_of(folder)
     if not files:
         raise ExtraError(f"{folder}: holds no recordings; make some with `touchd record {folder}`")
     for path in files:
-        for recording in map(on_grid, map(realign, read_file(path))):
+        parts = [realign(part) for part in read_file(path)]
+        if any(part.gesture == UNLABELLED for part in parts):
+            unlabelled += 1
+            continue
+        for recording in joined(parts):
             frames += len(recording.counts)
             if frames > MOST_FRAMES:
                 raise ExtraError(f"{folder}: more than {MOST_FRAMES} frames; name a folder with fewer")
@@ -61,21 +79,40 @@ def read_folder(folder: Path, known: Sequence[str], keep_all: bool = False) -> l
                 raise ExtraError(f"{path}: the same recording as in {first_of[digest]}; delete one of them")
             first_of[digest] = path
             recordings.append(recording)
+    if not recordings and unlabelled:
+        raise ExtraError(
+            f"{folder}: nobody has said what its touches were; do, with `touchd run --view` or "
+            "`touchd record --from-journal`"
+        )
     _check_gestures(folder, {recording.gesture for recording in recordings}, known, keep_all)
-    return _as_known(recordings)
+    return Read(_as_known(_by_the_only_one(recordings)), unlabelled)
+
+
+def _by_the_only_one(recordings: Sequence[Recording]) -> list[Recording]:
+    """Ascribe touches of unknown people to the only person that the other recordings name."""
+    people = {recording.participant for recording in recordings} - {UNLABELLED}
+    if len(people) != 1:
+        return [*recordings]
+    return [replace(recording, participant=next(iter(people))) for recording in recordings]
 
 
 def _as_known(recordings: Sequence[Recording]) -> list[Recording]:
     """Apply `as_known` with the rest of each recording's own set-up, or else of any other."""
     untouched = [recording for recording in recordings if recording.gesture == NO_TOUCH]
     rests = {set_up(each): np.median(each.counts, axis=0).astype(np.float32) for each in reversed(untouched)}
-    if not rests:
-        return [*recordings]
-    any_rest = next(iter(rests.values()))
     known = []
     for each in recordings:
         counts = each.counts.astype(np.float32)
-        seen = as_known(counts, rests.get(set_up(each), any_rest))
+        if isinstance(each, InPassing):
+            # Before the touch, if there is enough of it: afterwards a fabric's rest has shifted.
+            before, after = each.counts[: each.first], each.counts[each.over :]
+            chosen = before if len(before) >= LEAST_AFTER_FRAMES else after
+            rest = np.median(chosen, axis=0).astype(np.float32)
+        elif rests:
+            rest = rests.get(set_up(each), next(iter(rests.values())))
+        else:
+            rest = np.zeros(counts.shape[1:], np.float32)
+        seen = as_known(counts, rest)
         known.append(each if seen is counts else replace(each, counts=seen))
     return known
 
@@ -118,13 +155,11 @@ def trouble_with(gestures: Collection[str], known: Collection[str] = ()) -> str:
 
 def _check(path: Path, recording: Recording) -> None:
     gesture = recording.gesture
-    if gesture == UNLABELLED:
-        raise ExtraError(f"{path}: nobody has said what it shows; do, with `touchd record --from-journal`")
     if why := trouble_with({gesture}):
         raise ExtraError(f"{path}: {why}")
     if not recording.participant.strip():
         raise ExtraError(f"{path}: does not say who touches; put a name into its first column")
-    if len(recording.counts) < SHORTEST_FRAMES:
+    if len(recording.counts) < SHORTEST_FRAMES and not isinstance(recording, InPassing):
         raise ExtraError(
             f"{path}: {len(recording.counts) / FRAME_RATE_HZ:.2f} s of {gesture} without a gap, and at least "
             f"{SHORTEST_FRAMES / FRAME_RATE_HZ:g} s is needed; record it again, or delete the file"

@@ -1,7 +1,7 @@
 """Accuracy on held-out recordings before and after adapting, with confidence intervals."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -48,6 +48,7 @@ class GestureFigures(msgspec.Struct, frozen=True, kw_only=True):
 class LengthFigures(msgspec.Struct, frozen=True, kw_only=True):
     """Accuracy on all held-out windows of one length.
 
+    frames: the length; 0 for ended touches in passing, of whatever length.
     before, after: macro accuracy over gestures that the shipped model has, None without any; if participants
     are held out, the mean over them. interval: of the difference, 95 %, None if there is too little data.
     all_after: as after, over all gestures.
@@ -67,11 +68,15 @@ class LengthFigures(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Comparison(msgspec.Struct, frozen=True, kw_only=True):
-    """Held-out accuracy before and after. left_out: what was held out."""
+    """Held-out accuracy before and after.
+
+    left_out: what was held out. in_passing: of ended touches in passing, None if there are none.
+    """
 
     left_out: LeftOut
     participants: int
     lengths: list[LengthFigures]
+    in_passing: LengthFigures | None = None
 
 
 def compare(
@@ -80,19 +85,28 @@ def compare(
     labels: Sequence[str],
     known: Sequence[str],
     left_out: LeftOut,
+    in_passing: Answers | None = None,
 ) -> Comparison:
-    """Return the figures for held-out answers at each length.
+    """Return the figures for held-out answers at each length, and to ended touches in passing.
 
     labels: of the logits. known: those of the shipped model.
     """
-    evaluated = sorted({int(i) for length in answers.values() for i in length.recordings})
+    evaluated = {int(i) for length in answers.values() for i in length.recordings}
+    if in_passing is not None:
+        evaluated |= {int(i) for i in in_passing.recordings}
     lengths = [
         _at_length(frames, own, recordings, labels, known, left_out)
         for frames in LENGTHS
         if (own := answers.get(frames)) is not None and len(own.recordings)
     ]
-    participants = len({recordings[i].participant for i in evaluated})
-    return Comparison(left_out=left_out, participants=participants, lengths=lengths)
+    return Comparison(
+        left_out=left_out,
+        participants=len({recordings[i].participant for i in evaluated}),
+        lengths=lengths,
+        in_passing=_at_length(0, in_passing, recordings, labels, known, left_out)
+        if in_passing is not None and len(in_passing.recordings)
+        else None,
+    )
 
 
 def _at_length(
@@ -133,9 +147,34 @@ def _at_length(
         },
         before=_mean(strata(before, in_both)) if in_both.any() else None,
         after=_mean(strata(after, in_both)) if in_both.any() else None,
-        interval=mean_interval(strata(after - before, in_both)) if in_both.any() else None,
+        interval=_interval(after - before, strata, in_both, left_out) if in_both.any() else None,
         all_after=_mean(strata(after, everything)),
     )
+
+
+def _interval(
+    gains: Floats,
+    strata: Callable[[Floats, NDArray[np.bool_]], Sequence[Floats]],
+    chosen: NDArray[np.bool_],
+    left_out: LeftOut,
+) -> tuple[float, float] | None:
+    """Return the 95 % interval of a difference: over people, or over the recordings of one."""
+    if left_out == "participants":
+        return mean_interval(strata(gains, chosen))
+    return paired_interval(gains[chosen])
+
+
+def paired_interval(gains: Floats) -> tuple[float, float]:
+    """Return the 95 % interval of a mean change of right answers (Agresti and Min 2005).
+
+    gains: each recording's, -1 to 1. Two pretended recordings, one of which became right and one wrong by
+    half, keep it from having no width where every recording changed equally.
+    """
+    n = len(gains) + 2
+    better, worse = float(gains.clip(min=0).sum()), float(-gains.clip(max=0).sum())
+    middle = (better - worse) / n
+    reach = 1.96 * math.sqrt((better + worse + 1.0 - n * middle**2) / n**2)
+    return max(-1.0, middle - reach), min(1.0, middle + reach)
 
 
 def cross_entropy(logits: Floats, labels: NDArray[np.int64]) -> float:
@@ -144,7 +183,7 @@ def cross_entropy(logits: Floats, labels: NDArray[np.int64]) -> float:
 
 
 def mean_interval(strata: Sequence[Floats]) -> tuple[float, float] | None:
-    """Return the 95 % t interval of the mean of the strata's means; None if each stratum has one value.
+    """Return the 95 % t interval of the mean of the strata's means; None if it cannot be told.
 
     Unlike a bootstrap, it is wide enough with two or three values.
     """
@@ -152,6 +191,9 @@ def mean_interval(strata: Sequence[Floats]) -> tuple[float, float] | None:
     if freedom < 1:
         return None
     pooled = sum(((stratum - stratum.mean()) ** 2).sum() for stratum in strata) / freedom
+    # People who happen to change equally do not prove that everybody does.
+    if pooled == 0.0:
+        return None
     error = math.sqrt(pooled * sum(1.0 / len(stratum) for stratum in strata)) / len(strata)
     middle = _mean(strata)
     reach = float(stdtrit(freedom, UPPER)) * error

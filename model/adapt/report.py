@@ -2,7 +2,7 @@
 
 import textwrap
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from touchd.model.adapt.adapt import Adapted
 from touchd.model.adapt.measure import Comparison, GestureFigures, LengthFigures
@@ -14,6 +14,7 @@ FEW_RECORDINGS = 4
 FEW_PARTICIPANTS = 3
 WIDTH = 80
 NAME_WIDTH = 20
+NO_NAMES: Mapping[str, str] = {}
 MEASURED: dict[LeftOut, str] = {
     "participants": "Right answers in percent. Each participant is answered by a model adapted to the "
     "others: this is how well it will do on people it was not adapted to.",
@@ -23,8 +24,11 @@ MEASURED: dict[LeftOut, str] = {
 }
 
 
-def report_lines(adapted: Adapted) -> Iterable[str]:
-    """Yield the report: the recordings, accuracy before and after, and warnings."""
+def report_lines(adapted: Adapted, names: Mapping[str, str] = NO_NAMES) -> Iterable[str]:
+    """Yield the report: the recordings, accuracy before and after, and warnings.
+
+    names: what gestures are called; without one, as in the recordings.
+    """
     recordings = adapted.recordings
     gestures = Counter(recording.gesture for recording in recordings)
     participants = {recording.participant for recording in recordings}
@@ -35,12 +39,17 @@ def report_lines(adapted: Adapted) -> Iterable[str]:
     )
     if new:
         yield f"New to the model: {', '.join(sorted(new))}"
+    if adapted.unlabelled:
+        yield f"Passed over: {_count(adapted.unlabelled, 'saved touch', 'es')} without a label"
     comparison = adapted.comparison
     yield ""
     yield from textwrap.wrap(MEASURED[comparison.left_out], WIDTH)
     if comparison.lengths:
         yield ""
-        yield from _table(comparison.lengths)
+        yield from _table(comparison.lengths, names)
+    if comparison.in_passing is not None:
+        yield ""
+        yield from _in_passing(comparison.in_passing, names)
     yield ""
     for warning in warnings(adapted):
         yield from textwrap.wrap(f"! {warning}", WIDTH, subsequent_indent="  ")
@@ -51,7 +60,9 @@ def warnings(adapted: Adapted) -> Iterable[str]:
     comparison = adapted.comparison
     gestures = Counter(recording.gesture for recording in adapted.recordings)
     yield from _doubts(comparison)
-    if few := sorted(gesture for gesture, count in gestures.items() if count < FEW_RECORDINGS):
+    few = sorted(gesture for gesture, count in gestures.items() if count < FEW_RECORDINGS)
+    # Of one person it is always so, and the table's last column says how sure each figure is.
+    if few and comparison.left_out == "participants":
         yield (
             f"Fewer than {FEW_RECORDINGS} recordings of {', '.join(few)}: too few to tell how well they are "
             "known."
@@ -86,7 +97,25 @@ def _doubts(comparison: Comparison) -> Iterable[str]:
         yield "This is worse than the shipped model: keep that, or record more."
 
 
-def _table(lengths: Sequence[LengthFigures]) -> Iterable[str]:
+def _in_passing(figures: LengthFigures, names: Mapping[str, str]) -> Iterable[str]:
+    """Yield a line for each gesture of ended touches in passing, and one for all."""
+    yield "Touches in passing, answered once the hand has gone: tried, before, after"
+    for gesture, own in figures.gestures.items():
+        before = "-" if own.before is None else _percent(own.before)
+        shown = names.get(gesture, gesture)[: NAME_WIDTH - 1]
+        yield f"{shown:<{NAME_WIDTH}}{own.recordings:>6}  {before:>6} {_percent(own.after):>6}"
+    if figures.difference is not None:
+        yield f"in passing: {100 * figures.difference:+.1f} points{_reach(figures)}"
+
+
+def _reach(at: LengthFigures) -> str:
+    """Return the interval of a difference in words."""
+    if at.interval is None:
+        return ", no interval: too few"
+    return f", 95 % interval {100 * at.interval[0]:+.1f} to {100 * at.interval[1]:+.1f}"
+
+
+def _table(lengths: Sequence[LengthFigures], names: Mapping[str, str]) -> Iterable[str]:
     """Yield a table, a line per gesture: before and after at each answer, and the last answer's interval."""
     yield f"{'':<{NAME_WIDTH}}{'':>6}" + "".join(f"  {f'{at.frames / 54:.2f} s':>13}" for at in lengths)
     yield (
@@ -99,7 +128,8 @@ def _table(lengths: Sequence[LengthFigures]) -> Iterable[str]:
         counted = max(figures.recordings for figures in own if figures is not None)
         last = own[-1]
         interval = "" if last is None else f"  {_percent(last.interval[0])}-{_percent(last.interval[1])}"
-        yield f"{gesture[: NAME_WIDTH - 1]:<{NAME_WIDTH}}{counted:>6}{_cells(own)}{interval}"
+        shown = names.get(gesture, gesture)[: NAME_WIDTH - 1]
+        yield f"{shown:<{NAME_WIDTH}}{counted:>6}{_cells(own)}{interval}"
     if lengths[-1].before is not None:
         yield f"{'mean of those known':<{NAME_WIDTH}}{'':>6}{_cells(lengths)}"
     if any(figures.before is None for figures in lengths[-1].gestures.values()):
@@ -107,12 +137,7 @@ def _table(lengths: Sequence[LengthFigures]) -> Iterable[str]:
         yield f"{'mean of all':<{NAME_WIDTH}}{'':>6}{cells}"
     for at in lengths:
         if at.difference is not None:
-            reach = (
-                "no interval: too few"
-                if at.interval is None
-                else f"95 % interval {100 * at.interval[0]:+.1f} to {100 * at.interval[1]:+.1f}"
-            )
-            yield f"after {at.frames / 54:.2f} s: {100 * at.difference:+.1f} points, {reach}"
+            yield f"after {at.frames / 54:.2f} s: {100 * at.difference:+.1f} points{_reach(at)}"
 
 
 def _cells(row: Iterable[GestureFigures | LengthFigures | None]) -> str:
@@ -125,5 +150,5 @@ def _percent(share: float | None) -> str:
     return "-" if share is None else f"{100 * share:.0f}"
 
 
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}{'' if number == 1 else 's'}"
+def _count(number: int, what: str, ending: str = "s") -> str:
+    return f"{number} {what}{'' if number == 1 else ending}"

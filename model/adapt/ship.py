@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -14,7 +15,7 @@ from touchd.drivers.errors import os_errors_as
 from touchd.drivers.frame import FRAME_RATE_HZ
 from touchd.drivers.whole_file import whole_file
 from touchd.model.adapt.adapt import Adapted, Pretrained, adapt, prepare
-from touchd.model.adapt.folder import read_folder
+from touchd.model.adapt.folder import read_all
 from touchd.model.adapt.head import AdaptSettings
 from touchd.model.adapt.optimise import one_torch_thread
 from touchd.model.adapt.output import OutputError, check_output, code_version, data_hash, model_name
@@ -30,10 +31,11 @@ def adapt_folder(extra: Path, output: Path, settings: AdaptSettings, keep_all: b
     """
     check_output(output)
     pretrained = Pretrained.shipped()
-    recordings = read_folder(extra, pretrained.labels, keep_all)
+    recordings, unlabelled = read_all(extra, pretrained.labels, keep_all)
     # One thread makes sums reproducible; a head is too small for more.
     with one_torch_thread():
         adapted = adapt(pretrained, prepare(pretrained, recordings, settings), settings, keep_all)
+    adapted = replace(adapted, unlabelled=unlabelled)
     write(pretrained, adapted, output, settings)
     return adapted
 

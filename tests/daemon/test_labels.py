@@ -45,7 +45,7 @@ def test_each_ten_labelled_touches_say_how_to_learn(tmp_path: Path) -> None:
     labeller = Labeller(lambda _: None, {"pad": GESTURES}, {"pad": tmp_path / "a b"})
     said = [labeller.label("pad", touch, "pat") for touch in (1, 2, 2, 2, 3, 4, 5, 6, 7, 8)]
     assert [bool(line) for line in said] == [False] * 8 + [True, False]
-    assert f"train --extra '{tmp_path}/a b'" in said[8]
+    assert f"train --keep-all --extra '{tmp_path}/a b'" in said[8]
 
 
 def test_without_kept_frames_it_says_how_to_keep_them() -> None:

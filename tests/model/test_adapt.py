@@ -26,12 +26,13 @@ from touchd.daemon.config import Settings, load  # noqa: E402
 from touchd.daemon.doctor.machine import check_model  # noqa: E402
 from touchd.drivers.fakes.hand import simulate  # noqa: E402
 from touchd.drivers.recording import Recording, ideal_clock_ms, write_recordings  # noqa: E402
-from touchd.model.adapt.adapt import Adapted, Features, Pretrained, adapt, prepare  # noqa: E402
-from touchd.model.adapt.backbone import CropFeatures, windows  # noqa: E402
+from touchd.model.adapt.adapt import Adapted, Features, Pretrained, adapt, logits, prepare  # noqa: E402
+from touchd.model.adapt.backbone import CropFeatures, ended, windows  # noqa: E402
 from touchd.model.adapt.folder import ExtraError, read_folder  # noqa: E402
 from touchd.model.adapt.head import AdaptSettings, fit, rebuilt  # noqa: E402
-from touchd.model.adapt.measure import Answers, compare, mean_interval, wilson_interval  # noqa: E402
+from touchd.model.adapt.measure import Answers, compare, mean_interval, paired_interval, wilson_interval  # noqa: E402
 from touchd.model.adapt.output import model_name  # noqa: E402
+from touchd.model.adapt.passing import InPassing, joined  # noqa: E402
 from touchd.model.adapt.plan import plan  # noqa: E402
 from touchd.model.adapt.remembered import Remembered  # noqa: E402
 from touchd.model.adapt.report import report_lines  # noqa: E402
@@ -463,6 +464,27 @@ def test_two_values_have_a_wide_interval_and_one_has_none() -> None:
     assert mean_interval([np.array([0.1])]) is None
 
 
+def test_equal_changes_of_one_person_have_an_interval_with_a_width() -> None:
+    recordings = labelled("A:pat A:pat A:rub A:rub")
+    truth = np.array([0, 0, 1, 1])
+    answers = {54: Answers(np.arange(4), np.eye(2)[1 - truth], np.eye(2)[truth])}
+    row = compare(answers, recordings, ("pat", "rub"), ("pat", "rub"), "recordings").lengths[0]
+    assert row.difference == 1.0
+    assert row.interval == (pytest.approx(0.168, abs=1e-3), 1.0)
+    # People who changed equally prove nothing about others.
+    people = labelled("A:pat A:rub B:pat B:rub")
+    row = compare(answers, people, ("pat", "rub"), ("pat", "rub"), "participants").lengths[0]
+    assert row.interval is None
+
+
+def test_teaching_one_person_can_be_told_to_have_helped() -> None:
+    # Agresti and Min: of 14 recordings, four more are right than before.
+    low, high = paired_interval(np.array([1.0] * 4 + [0.0] * 10))
+    assert (low, high) == (pytest.approx(0.005, abs=1e-3), pytest.approx(0.495, abs=1e-3))
+    low, high = paired_interval(np.array([1.0] + [0.0] * 13))
+    assert low < 0.0 < high
+
+
 def test_three_right_of_three_have_a_wide_interval() -> None:
     assert wilson_interval(3, 3) == (pytest.approx(0.438, abs=1e-3), 1.0)
 
@@ -479,11 +501,17 @@ def test_three_right_of_three_have_a_wide_interval() -> None:
             3,
             [
                 "One participant: no figure for other people",
-                "Fewer than 4 recordings of hug, pat",
                 "Too little to tell whether this is better or worse",
             ],
         ),
-        (("Ann", "Bo"), 1, ["Fewer than 3 participants: too few to tell whether others"]),
+        (
+            ("Ann", "Bo"),
+            1,
+            [
+                "Fewer than 3 participants: too few to tell whether others",
+                "Fewer than 4 recordings of hug, pat",
+            ],
+        ),
     ],
 )
 def test_too_few_recordings_are_reported(
@@ -492,6 +520,98 @@ def test_too_few_recordings_are_reported(
     recordings = simulated(participants, each, ("pat", "hug"))
     report = words(report_lines(adapted_to(pretrained, recordings, HARDLY)))
     assert [line for line in printed if line not in report] == []
+
+
+# --- touches in passing ---
+
+
+def passing(gesture: str, frames: int, number: int = 0, *, after: int = 43) -> list[Recording]:
+    """A saved touch: half a second of rest, `frames` of a gesture, and the rest after it."""
+    (done,) = simulated(("A",), 1, (gesture,))
+    (rest,) = simulated(("A",), 1, ("notouch",))
+    pieces = ((rest, 0, 27), (done, number, frames), (rest, 40, after))
+    clock_ms = np.split(ideal_clock_ms(27 + frames + after), [27, 27 + frames])
+    return [
+        replace(part, counts=part.counts[start : start + count], sensor_ms=own_ms, cover=f"c{number}")
+        for (part, start, count), own_ms in zip(pieces, clock_ms, strict=True)
+        if count
+    ]
+
+
+def saved(folder: Path, touches: Iterable[Sequence[Recording]]) -> Path:
+    """Write touches as the daemon saves them, a file each."""
+    folder.mkdir(exist_ok=True)
+    for number, parts in enumerate(touches):
+        write_recordings(folder / f"2026-11-20T10-00-0{number}.000Z-1-{number}.csv.gz", parts, {})
+    return folder
+
+
+def test_a_short_touch_is_read_with_the_rest_around_it(tmp_path: Path) -> None:
+    lab = saved(tmp_path / "lab", [passing("pat", 12), passing("stroke", 40, 1)])
+    pat, stroke = read_folder(lab, ())
+    assert isinstance(pat, InPassing)
+    assert isinstance(stroke, InPassing)
+    assert (pat.gesture, pat.first, pat.over, len(pat.counts)) == ("pat", 27, 39, 27 + 12 + 43)
+    assert (stroke.gesture, stroke.first, stroke.over) == ("stroke", 27, 67)
+
+
+def test_a_long_saved_touch_is_a_recording_like_any_other(tmp_path: Path) -> None:
+    lab = saved(tmp_path / "lab", [passing("pat", 12), passing("rub", 150, 1)])
+    pat, rub = sorted(read_folder(lab, ()), key=lambda each: each.gesture)
+    assert isinstance(pat, InPassing)
+    assert not isinstance(rub, InPassing)
+    assert len(rub.counts) == 150
+
+
+@pytest.mark.parametrize("after", [0, 5])
+def test_a_short_touch_without_rest_after_it_is_passed_over(tmp_path: Path, after: int) -> None:
+    touches = [passing("pat", 12), passing("rub", 20, 1), passing("stroke", 20, 2, after=after)]
+    lab = saved(tmp_path / "lab", touches)
+    assert sorted(each.gesture for each in read_folder(lab, ())) == ["pat", "rub"]
+
+
+def test_saved_touches_without_a_label_are_passed_over(
+    pretrained: Pretrained,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(Pretrained, "shipped", lambda: pretrained)
+    monkeypatch.setattr(AdaptSettings, "steps", 1, raising=False)
+    before, touch, after = passing("rub", 30, 5)
+    nobody = [before, replace(touch, gesture="unlabelled"), after]
+    names = [("pat", 12, 0), ("stroke", 40, 1), ("pat", 15, 2), ("stroke", 30, 3)]
+    lab = saved(tmp_path / "lab", [*(passing(*name) for name in names), nobody])
+    assert cli.main(["train", "--extra", str(lab), "--output", str(tmp_path / "a.onnx"), "--keep-all"]) == 0
+    said = capsys.readouterr().out
+    assert "Passed over: 1 saved touch without a label" in said
+    assert "Touches in passing, answered once the hand has gone" in said
+    assert "4 recordings of 2 gestures by 1 participant" in said
+    assert Classifier.load(tmp_path / "a.onnx").labels == pretrained.labels
+
+
+def test_touches_of_unknown_people_are_ascribed_to_the_only_known_one(tmp_path: Path) -> None:
+    unknown = [replace(part, participant="unlabelled") for part in passing("pat", 12)]
+    lab = saved(tmp_path / "lab", [unknown, passing("rub", 30, 1)])
+    assert {each.participant for each in read_folder(lab, ())} == {"A"}
+
+
+def test_learning_from_single_pats_names_single_pats(pretrained: Pretrained) -> None:
+    def read(each: Sequence[int]) -> list[Recording]:
+        return [
+            recording
+            for number in each
+            for gesture in ("pat", "scratch", "stroke")
+            for recording in joined(passing(gesture, 20, number))
+        ]
+
+    settings = AdaptSettings(crops=8)
+    learnt = adapt(pretrained, prepare(pretrained, read(range(4)), settings), settings)
+    others = read(range(10, 14))
+    truth = [learnt.labels.index(each.gesture) for each in others]
+    values = ended(pretrained.backbone, others)
+    right = (logits(learnt.head, values, np.ones(len(others), bool)).argmax(axis=1) == truth).mean()
+    assert right > 0.9
 
 
 # --- unusable recordings ---
@@ -523,7 +643,7 @@ def pat_and(gesture: str) -> Make:
         (pat_and("high five"), "'high five' cannot name a gesture"),
         (pat_and(""), "'' cannot name a gesture"),
         (pat_and("uncertain"), "'uncertain' cannot name a gesture"),
-        (pat_and("unlabelled"), "nobody has said what it shows"),
+        (kept(replace(PAT, gesture="unlabelled")), "nobody has said what its touches were"),
         (pat_and("Stroke"), "Stroke and stroke differ only in spelling"),
         (pat_and("no-touch"), "no-touch and notouch differ only in spelling"),
         (kept(PAT, cut(HUG, 53)), "0.98 s of hug without a gap, and at least 1 s is needed"),
@@ -567,7 +687,9 @@ def test_without_torch_it_says_what_to_install(
 ) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)
     assert cli.main(["train", "--extra", str(tmp_path)]) == 2
-    assert "torch is not installed (extra train)" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "torch is not installed (extra train)" in said
+    assert said.endswith("# about 1 GB on the disk\n")
 
 
 def test_training_without_recordings_names_where_recipes_are_trained(
