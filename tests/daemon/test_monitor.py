@@ -278,7 +278,8 @@ def test_frames_lost_on_the_line_are_logged_with_advice(
 
 
 def test_continuing_losses_on_the_line_are_logged_once(caplog: pytest.LogCaptureFixture) -> None:
-    watch(parser_of(CONFIGURED), firm_presses(0), turns=20)
+    presses = [packet for turn in range(20) for packet in firm_presses(540 * turn)]
+    watch(parser_of(CONFIGURED), presses, intervals=20)
     assert caplog.messages == [ABOVE]
 
 
