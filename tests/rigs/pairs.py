@@ -54,7 +54,9 @@ def told_of(path: Path, classifier: Classifier) -> Told:
                 [(at_ms / 1000, frame) for frame in parser.feed(data, at_ms / 1000)], ends=False
             )
     told = listener.hear_all(())
-    refused = {name: count for name, count in asdict(parser.counts).items() if count}
+    refused = {
+        name: count for name, count in asdict(parser.counts).items() if isinstance(count, int) and count
+    }
     return [*told, {"type": "line", **refused, "clock": parser.clock.note}]
 
 
