@@ -187,7 +187,7 @@ def damage_flipped_bits() -> Line:
     """Long wires flip a bit in every twelfth frame; the log says so, and a stroke is still recognised."""
     rng = RandomState(41)
     pieces = []
-    for number, (at_ms, data) in enumerate(packets(SMALL, stroked(SMALL, lead_s=21.0))):
+    for number, (at_ms, data) in enumerate(packets(SMALL, stroked(SMALL, lead_s=11.0))):
         damaged = bytearray(data)
         if number % 12 == 5:
             damaged[rng.randint(6, len(data))] ^= 1 << rng.randint(8)
@@ -280,7 +280,7 @@ def damage_header_among_cells() -> Line:
 def damage_above_full_scale() -> Line:
     """A hand exceeds the configured full scale; its values are cut to it, and the log says so."""
     described = PadFormat(framing="text", rows=6, columns=6, full_scale=100)
-    values = touched(described, np.tile(hand(34, ("constant", 5.0), lead_s=0.5, quiet_s=1.0), (4, 1, 1)))
+    values = touched(described, np.tile(hand(34, ("constant", 5.0), lead_s=0.5, quiet_s=1.0), (2, 1, 1)))
     return one_each(described, 25 * values)
 
 
