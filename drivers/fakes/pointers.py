@@ -1,15 +1,22 @@
 """Hands and fingertips that follow pointers: mouse, fingers or pens on the picture of a pad.
 
-The hand has the simulated hand's palm and fingers, and leans on the palm. Its forces are set to match load,
-peak and area of HAART's still hands, pats, repeated strokes and rubs on the bare pad.
+A pointer shows where a hand is and when it is down, but not how firmly it presses. Here that follows from its
+speed, from how long it has been down and from what touches. It is set to HAART's training recordings on the
+bare pad; no network's answers were used. Loads are sums over the pad, in counts above rest and noise:
 
-In the recordings of both studies on fabric, slower passes are firmer, and the load swells along the way: a
-hand drawn one way sinks in as it goes. Here, a stroke's peak and second half match slow recorded passes. Its
-contact is smaller than theirs and swells later: this was chosen with the shipped network, which is unsure of
-most recorded passes if they are cut out one at a time.
+- A hand that lands in one place strikes. Recorded pats peak at 120 to 440 counts in the second or third of
+  four to seven frames; six frames after landing, at most a tenth is left.
+- A moving hand lands lightly and presses more the longer it stays. Recorded strokes are at 62 counts after a
+  seventh of a second and at 125 after a third; rubs are at 160. Loads hardly depend on the speed itself.
+- A resting hand presses down to 650 to 2500 counts.
+- Fingertips press with 60 counts when they tickle and with 265 when they scratch.
+- Within a stroke, the load varies by 28 % about its trend, and a frame's pattern correlates with the previous
+  one by 0.9.
+- The contact of a stroke is 1.4 taxels wide along its way and 1.7 across (standard deviations). A firmer hand
+  touches more taxels: 12 to 16 in strokes, 18 in rubs, 48 at rest.
 """
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, TypeAlias
 
@@ -17,44 +24,52 @@ import numpy as np
 from numpy.random import RandomState
 from numpy.typing import NDArray
 
-from touchd.drivers.fakes.hand import FLAT_HAND, Part
+from touchd.drivers.fakes.hand import Part, fingers
 from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
 
 Series: TypeAlias = NDArray[np.float64]
-Size: TypeAlias = Literal["hand", "finger"]
+# "hand": palm and fingers. "fingertips": those of a hand, under one pointer. "finger": one of several.
+Size: TypeAlias = Literal["hand", "fingertips", "finger"]
 
 FRAME_S = 1.0 / FRAME_RATE_HZ
 # Limited, so that many viewers do not make frames late.
 MOST_PRESSES = 20
-# Duration of touching down, and of lifting off for a hand that rests and for one that moves.
-EDGE_S, LIFT_S, GLIDE_S = 0.08, 0.08, 0.4
-# A click shorter than this presses for this long.
-SHORTEST_S = 0.08
-# In a frame: the share of the way to the pointer that a hand moves, and the share of a new speed it takes on.
-FOLLOW, SPEED_SHARE = 0.6, 0.25
-# Share of a new force that a resting and a moving hand take on in a frame.
-PRESS_SHARE, EASE_SHARE = 0.25, 0.1
-# A hand slower than this, in taxels a second, rests. After PAUSE_S it begins to press down, over DWELL_S.
+# How long a resting and a moving hand take to come off.
+LIFT_S, GLIDE_S = 0.055, 0.15
+# In a frame: the share of the way to the pointer that a hand moves, and the share of a new speed and of a new
+# load that it takes on.
+FOLLOW, SPEED_SHARE, LOAD_SHARE = 0.6, 0.25, 0.25
+# A hand slower than this, in taxels a second, rests. After PAUSE_S it presses down, with the time constant
+# SINK_S.
 MOVING_SPEED = 1.2
-PAUSE_S, DWELL_S = 0.15, 0.4
-# A hand that comes back by this many taxels no longer strokes: it rubs or scratches.
-TURN = 0.3
-# A stroking hand rolls from flat onto its fingertips within this time.
-ROLL_S = 0.2
-# A stroke is firmest after this distance, in taxels; it begins with this share of its force. Recorded loads
-# rise over the first third to half of a pass, however long it takes.
-SWELL, FIRST_SHARE = 4.0, 0.15
-# A stroke slower than this, in taxels a second, is firm. In the recordings the median peak of a pass is 14
-# counts above 6 taxels a second and 26 below.
-FIRM_SPEED = 5.0
-# Noise of a resting hand's force, as a share of it; the share of the noise that the next frame keeps.
-TREMOR, KEPT_NOISE = 0.015, 0.5
+PAUSE_S, SINK_S = 0.25, 0.35
+# Time constant with which a moving hand presses more.
+DWELL_S = 0.45
+# A button closes before a hand would land: it lands as soon as the pointer has moved this far, in taxels, or
+# after this many frames, or when the button opens. If it has not moved, it strikes: the load of the following
+# frames, as shares of the peak.
+LANDS_AFTER, LANDS_WITHIN = 0.1, 5
+STRIKE = (0.6, 1.0, 0.45, 0.25, 0.1)
+# Share of a strike's load that spreads the hand: a strike is over before the skin has given way.
+STRIKE_SPREADS = 0.3
+# A hand that moves as it lands turns into its way up to this frame.
+AIMED_FRAME = 6
+# Fingertips that pull or go back at this speed, in taxels a second, press more or less by the second share.
+PULL_SPEED, PULL_SHARE = 8.0, 0.6
+# Deviation of a press's load from that of others, and of its parts' from each other, as logarithms.
+FIRMNESS, UNEVENNESS = 0.25, 0.5
+# Fabric sticks and slips under a moving hand: deviation of its load, as a logarithm, for the whole hand and
+# for each part, and the share that the next frame keeps. The same for the tremor of one that rests.
+SLIP, SLIP_OF_PART, SLIP_KEPT = 0.05, 0.5, 0.5
+TREMOR, TREMOR_KEPT = 0.05, 0.98
+# Below this share of its radius at rest, a part would fall between the taxels.
+LEAST_RADIUS = 0.4
 
 
 class Pointer(NamedTuple):
     """A pointer that presses. row, column: in taxels, -0.5 to 7.5 from edge to edge.
 
-    pressure: 0 to 1 if the device measures it, else None: the hand then presses harder where it stays.
+    pressure: 0 to 1 if the device measures it, else None.
     """
 
     row: float
@@ -65,38 +80,35 @@ class Pointer(NamedTuple):
 
 @dataclass(frozen=True)
 class Shape:
-    """A hand or a fingertip, as parts with a place and a share of the force.
+    """What touches, as parts with a place, and the radius and share of the force of each at rest.
 
-    tips: the parts while it strokes. landing, still, stroke: force in counts as it comes down, where it
-    stays, and where a slow stroke is firmest. slow, fast: force when it moves to and fro, and what each taxel
-    a second adds. slip: how much a part's force then varies, in counts, as fabric sticks and slips.
+    Loads in counts. strike: the peak as it lands in one place. struck: what is left after that. light: as it
+    begins to move. firm: after it has moved for long. still: at rest. pulls: it presses more as it moves
+    towards the wrist.
     """
 
     parts: tuple[Part, ...]
-    tips: tuple[Part, ...]
-    landing: float
+    strike: float
+    struck: float
+    light: float
+    firm: float
     still: float
-    stroke: float
-    slow: float
-    fast: float
-    slip: float
+    pulls: bool
 
 
-def flat_hand_with(shares: Sequence[float], **changed: float) -> tuple[Part, ...]:
-    """Return the flat hand with other shares of the force. changed: fields that change for every part."""
-    return tuple(part._replace(share=share, **changed) for part, share in zip(FLAT_HAND, shares, strict=True))
-
-
-FINGERTIP = Part(0.0, 0.0, 0.6, 1.0)
-# Thin fingertips in a row, because the network is surest of them.
-FOUR_TIPS = flat_hand_with((0.0, 0.8, 1.0, 1.0, 0.8), along=0.0, radius=0.45)
-# With the fingers as firm as the palm, the network takes rubs for scratches.
-LEANING_HAND = flat_hand_with((1.3, 0.3, 0.3, 0.3, 0.3))
-HAND = Shape(LEANING_HAND, FOUR_TIPS, landing=12.0, still=30.0, stroke=25.0, slow=3.0, fast=0.6, slip=2.0)
-FINGER = Shape(
-    (FINGERTIP,), (FINGERTIP,), landing=25.0, still=60.0, stroke=45.0, slow=20.0, fast=3.0, slip=8.0
+# The two cushions of the palm, and four fingers.
+PALM_AND_FINGERS = (
+    *(Part(-1.5, place, 1.4, 0.7) for place in (-1.6, 1.6)),
+    *(Part(1.5, place, 1.0, 0.6) for place in (-2.7, -0.9, 0.9, 2.7)),
 )
-SHAPES: Mapping[Size, Shape] = {"hand": HAND, "finger": FINGER}
+FINGERTIP = Part(0.0, 0.0, 0.6, 1.0)
+FINGERTIPS = tuple(FINGERTIP._replace(across=place) for place in fingers(4))
+# Part of these loads lies below the noise: each taxel's reading counts from three above its rest.
+SHAPES: Mapping[Size, Shape] = {
+    "hand": Shape(PALM_AND_FINGERS, 250.0, 40.0, 70.0, 280.0, 1800.0, pulls=False),
+    "fingertips": Shape(FINGERTIPS, 240.0, 30.0, 80.0, 320.0, 600.0, pulls=True),
+    "finger": Shape((FINGERTIP,), 60.0, 8.0, 20.0, 80.0, 150.0, pulls=True),
+}
 
 
 class PressingHands:
@@ -130,28 +142,27 @@ class _Press:
     def __init__(self, pointer: Pointer, rng: RandomState) -> None:
         self._shape = SHAPES[pointer.size]
         self._rng = rng
-        flat, tips = (np.array(parts) for parts in (self._shape.parts, self._shape.tips))
-        # The fingers of a hand press unevenly, each hand in its own way; a fingertip has one part.
-        uneven = len(flat) > 1
-        bent = rng.normal(0.0, 0.2 * uneven, len(flat))
-        strength = 1.0 + 0.5 * uneven * rng.uniform(-1.0, 1.0, len(flat))
-        # A row for each part: along, across, radius, share.
-        for parts in (flat, tips):
-            parts[:, 0] += bent
-            parts[:, 3] *= strength
-        self._flat, self._tips = flat, tips
-        self._noise = np.zeros(len(flat))
-        self._at = self._landed = np.array([pointer.row, pointer.column])
-        self._velocity = np.zeros(2)
+        self._parts = np.array(self._shape.parts)
+        count = len(self._parts)
+        # Each hand is held a little differently, and presses in its own way. The fingers point up.
+        self._parts[:, 0] += rng.normal(0.0, 0.2 * (count > 1), count)
+        self._shares = self._parts[:, 3] * self._parts[:, 2] ** 2 * rng.lognormal(0.0, UNEVENNESS, count)
+        self._shares /= self._shares.sum()
+        self._firmness = rng.lognormal(0.0, FIRMNESS)
         self._heading = -np.pi / 2 + rng.normal(0.0, 0.3)
-        self._force = self._still_s = self._down_s = self._edge = 0.0
-        # The largest distance from where it landed; how far it has rolled onto its fingertips, 0 to 1.
-        self._way = self._rolled = 0.0
-        self._has_turned = self._is_stroking = False
+        self._at = self._begun = np.array([pointer.row, pointer.column])
+        self._velocity = np.zeros(2)
+        # Frames before and since it has landed.
+        self._hovered = self._frames = 0
+        self._load = self._strike = self._still_s = 0.0
+        self._on = 1.0
+        self._strikes: list[float] = []
+        # Of the whole hand, and of each part.
+        self._noise = rng.normal(size=1 + count)
 
     @property
     def is_touching(self) -> bool:
-        return self._edge > 0.0
+        return self._on > 0.0
 
     @property
     def _speed(self) -> float:
@@ -161,70 +172,75 @@ class _Press:
 
     def follow(self, pointer: Pointer) -> Series:
         """Move to the pointer and press."""
-        self._down_s += FRAME_S
-        self._edge = min(1.0, self._edge + FRAME_S / EDGE_S)
-        moved = FOLLOW * (np.array([pointer.row, pointer.column]) - self._at)
+        place = np.array([pointer.row, pointer.column])
+        moved = FOLLOW * (place - self._at)
         self._at = self._at + moved
         self._velocity += SPEED_SHARE * (moved / FRAME_S - self._velocity)
         self._still_s = 0.0 if self._speed else self._still_s + FRAME_S
-        self._notice_stroke()
-        if self._speed and not self._is_stroking:
-            # The palm leads and the fingers follow, as when a hand is drawn towards oneself.
-            self._heading = float(np.arctan2(-self._velocity[0], -self._velocity[1]))
-        share = EASE_SHARE if self._speed and not self._is_stroking else PRESS_SHARE
-        self._force += share * (self._wanted(pointer) - self._force)
+        has_moved = float(np.hypot(*(place - self._begun))) >= LANDS_AFTER
+        self._hovered += 1
+        if not (self._frames or has_moved or self._hovered > LANDS_WITHIN):
+            return np.zeros((ROWS, COLUMNS))
+        self._press(strikes=not has_moved)
+        self._aim()
+        self._load += LOAD_SHARE * (self._wanted(pointer) - self._load)
         return self._pressure()
 
-    def _notice_stroke(self) -> None:
-        """Note whether the hand strokes: it moves away from where it landed, and has never come back."""
-        way = float(np.hypot(*(self._at - self._landed)))
-        self._way = max(self._way, way)
-        self._has_turned = self._has_turned or way < self._way - TURN
-        goes_on = self._speed > 0.0 or (self._is_stroking and self._still_s <= PAUSE_S)
-        self._is_stroking = goes_on and not self._has_turned
-        step = FRAME_S / ROLL_S
-        self._rolled = float(np.clip(self._rolled + (step if self._is_stroking else -step), 0.0, 1.0))
-
     def lift(self) -> Series:
-        """Come off, once the shortest press is over; a moving hand glides off."""
-        self._down_s += FRAME_S
-        if self._down_s <= SHORTEST_S:
-            self._edge = min(1.0, self._edge + FRAME_S / EDGE_S)
-        else:
-            self._edge = max(0.0, self._edge - FRAME_S / (GLIDE_S if self._speed else LIFT_S))
+        """Come off, once a strike is over; a moving hand glides off."""
+        self._press(strikes=True)
+        if not self._strikes:
+            self._on = max(0.0, self._on - FRAME_S / (GLIDE_S if self._speed else LIFT_S))
             self._at = self._at + self._velocity * FRAME_S
         return self._pressure()
 
+    def _aim(self) -> None:
+        """Turn a hand that moves as it lands into its way: fingers side by side, the palm ahead."""
+        if self._frames <= AIMED_FRAME and self._speed:
+            self._heading = float(np.arctan2(-self._velocity[0], -self._velocity[1]))
+
+    def _press(self, *, strikes: bool) -> None:
+        """Go on by a frame; in the first one, land. strikes: how it lands."""
+        if self._frames == 0 and strikes:
+            self._strikes = [self._shape.strike * share for share in STRIKE]
+        self._strike = self._strikes.pop(0) if self._strikes else 0.0
+        self._frames += 1
+
     def _wanted(self, pointer: Pointer) -> float:
-        """Return the force that the hand approaches, in counts."""
+        """Return the load that the hand approaches, in counts."""
         shape = self._shape
-        moving = shape.slow + shape.fast * self._speed
+        firmer = 1.0 - np.exp(-self._frames * FRAME_S / DWELL_S)
+        moving = float(shape.light + (shape.firm - shape.light) * firmer)
         if pointer.pressure is not None:
-            # Half of a device's range is as firm as a hand that neither rests nor moves.
-            return 2.0 * pointer.pressure * max(shape.landing, moving)
-        if self._is_stroking:
-            # The hand sinks in as it goes; force grows with the square of the depth.
-            swell = max(FIRST_SHARE, min(1.0, self._way / SWELL) ** 2)
-            return shape.stroke * swell * min(1.0, FIRM_SPEED * self._down_s / max(self._way, FRAME_S))
+            # Half of a device's range is as firm as a hand that has moved for long.
+            return 2.0 * pointer.pressure * shape.firm
         if self._speed:
-            return moving
-        if self._still_s <= PAUSE_S:
-            return shape.landing if self._still_s == self._down_s else self._force
-        firm = min(1.0, (self._still_s - PAUSE_S) / DWELL_S)
-        return moving + (shape.still - moving) * firm
+            return moving * (1.0 + PULL_SHARE * self._pull() * shape.pulls)
+        if self._still_s < PAUSE_S:
+            return self._load if self._still_s < (self._hovered - 1) * FRAME_S else shape.struck
+        sunk = 1.0 - np.exp(-(self._still_s - PAUSE_S) / SINK_S)
+        return float(moving + (shape.still - moving) * sunk)
+
+    def _pull(self) -> float:
+        """Return how fast fingertips move towards the wrist, -1 to 1; it lies below them, to the right."""
+        return float(np.clip(self._velocity.sum() / np.sqrt(2.0) / PULL_SPEED, -1.0, 1.0))
 
     def _pressure(self) -> Series:
-        kept = KEPT_NOISE
+        kept = SLIP_KEPT if self._speed else TREMOR_KEPT
         self._noise = kept * self._noise + np.sqrt(1.0 - kept**2) * self._rng.normal(size=len(self._noise))
-        slips = self._speed > 0.0 and not self._is_stroking
-        uneven = TREMOR * self._force + (self._shape.slip if slips else 0.0)
-        along, across, radius, share = (self._flat + self._rolled * (self._tips - self._flat)).T
-        # A soft hand on a soft pad: force grows with the square of the depth.
-        forces = self._edge**2 * share * np.maximum(0.0, self._force + uneven * self._noise)
+        whole, of_part = (SLIP, SLIP_OF_PART) if self._speed else (TREMOR, TREMOR)
+        uneven = np.exp(whole * self._noise[0] + of_part * self._noise[1:])
+        # Force grows with the square of the depth.
+        each = self._on**2 * self._firmness * uneven
+        loads = (self._load + self._strike) * self._shares * each
+        # A soft part touches more of the pad the deeper it sinks in.
+        depth = np.sqrt((self._load + STRIKE_SPREADS * self._strike) * each / self._shape.still)
+        along, across, radius = self._parts[:, 0], self._parts[:, 1], self._parts[:, 2]
+        radius = radius * np.maximum(np.sqrt(depth), LEAST_RADIUS)
         sine, cosine = np.sin(self._heading), np.cos(self._heading)
         row = self._at[0] + along * sine + across * cosine
         column = self._at[1] + along * cosine - across * sine
         down = np.exp(-0.5 * ((np.arange(ROWS) - row[:, None]) / radius[:, None]) ** 2)
         over = np.exp(-0.5 * ((np.arange(COLUMNS) - column[:, None]) / radius[:, None]) ** 2)
-        total: Series = np.einsum("n,nr,nc->rc", forces, down, over)
+        total: Series = np.einsum("n,nr,nc->rc", loads / (2.0 * np.pi * radius**2), down, over)
         return total

@@ -20,7 +20,7 @@ export class Touch {
   #isTouchable = false;
   #size;
 
-  /** square: the pad. invitation: shown until somebody touches. size: returns "hand" or "finger". */
+  /** square: the pad. invitation: shown until somebody touches. size: returns "hand" or "fingertips". */
   constructor(square, invitation, size, send) {
     this.#square = square;
     this.#invitation = invitation;
@@ -89,17 +89,17 @@ export class Touch {
     clearTimeout(this.#again);
     const { left, top, width, height } = this.#square.getBoundingClientRect();
     const at = [];
-    let isFine = this.#pointers.size > 1;
+    let isFinger = this.#pointers.size > 1;
     for (const { pointerId, clientX, clientY, pressure, pointerType } of this.#pointers.values()) {
       const [x, y] = [(clientX - left) / width, (clientY - top) / height];
-      isFine ||= pointerType === "pen";
+      isFinger ||= pointerType === "pen";
       // Beyond the edge the hand has left the pad.
       if (x < 0 || x > 1 || y < 0 || y > 1) continue;
       // A mouse, and a screen that measures no pressure, report a constant.
       const isMeasured = pointerType === "pen" || (pointerType === "touch" && ![0, 0.5, 1].includes(pressure));
       at.push([pointerId >>> 0, round(x), round(y), isMeasured ? round(Math.min(pressure, 1)) : null]);
     }
-    this.#send(JSON.stringify({ size: isFine ? "finger" : this.#size(), at }));
+    this.#send(JSON.stringify({ size: isFinger ? "finger" : this.#size(), at }));
     if (this.#pointers.size > 0) this.#again = setTimeout(() => this.#tell(), AGAIN_MS);
   }
 }
