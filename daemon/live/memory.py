@@ -19,8 +19,8 @@ from touchd.daemon.events import (
     TouchEnded,
 )
 from touchd.daemon.kept.touches import ReportedTouch
-from touchd.daemon.words import name_of
-from touchd.drivers.frame import CLOCK_MODULUS, FRAME_RATE_HZ, Frame
+from touchd.daemon.words import SHIPPED, Vocabulary, name_of
+from touchd.drivers.frame import CLOCK_MODULUS, FRAME_RATE_HZ, NO_TOUCH, Frame
 
 TOUCHES = 12
 PREDICTIONS = 24
@@ -56,7 +56,8 @@ class PageState(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag
 
     pad: name of the pad. page: stamp of the page's files; a page with another stamp reloads. labels: in the
     order of the probabilities, none if nothing is recognised. answer_at_frames, speak_above, revise_margin:
-    of the scene. model: its name. names: of the gestures. action: the robot's latest on the last touch.
+    of the scene. model: its name. names: of the gestures. guesses: the words for each when nothing is sure.
+    action: the robot's latest on the last touch.
     touches: the last ones, oldest first; an ongoing touch comes last. reported: numbers of the touches that
     the robot was told about while it was up. rest: each taxel's reading before an ongoing touch. trace: of
     that touch, seconds since it began and counts above rest. touchable: whether viewers can touch the pad.
@@ -72,6 +73,7 @@ class PageState(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag
     speak_above: float
     revise_margin: float
     names: dict[str, str]
+    guesses: dict[str, str]
     robot_configured: bool
     action: RobotAction | None
     sensor: SensorEvent | None
@@ -171,6 +173,7 @@ class Memory:
             speak_above=scene.speak_above,
             revise_margin=scene.revise_margin,
             names={label: name_of(settings.vocabulary, label) for label in (*labels, UNCERTAIN)},
+            guesses={label: _guess(settings.vocabulary, label) for label in labels if label != NO_TOUCH},
             robot_configured=settings.robot is not None,
             action=self._action,
             sensor=self._sensor,
@@ -181,3 +184,10 @@ class Memory:
             trace=trace,
             touchable=touchable,
         )
+
+
+def _guess(words: Vocabulary, gesture: str) -> str:
+    """Return the words for a gesture when nothing is sure; English stands only beside touchd's own English."""
+    name = name_of(words, gesture)
+    shipped_name, phrase = SHIPPED["en"].get(gesture, ("", ""))
+    return f"{phrase[0].upper()}{phrase[1:]}, perhaps?" if name == shipped_name else f"{name}?"

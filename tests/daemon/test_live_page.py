@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from msgspec.structs import replace
+from msgspec.structs import asdict, replace
 from numpy.typing import NDArray
 from rigs.browser import prefer, show_in
 from rigs.expectations import DEMO, stream_of
@@ -47,6 +47,8 @@ STILL = Stream(
     stream_of(DEMO).sensor_ms[0] + 18 * np.arange(2000),
     (),
 )
+# Length of the time line.
+LINE_S = 4.0
 CANVAS = "return document.getElementById('heat').toDataURL()"
 # Records every announcement in the live region, which a screen reader speaks by itself.
 # The page takes the pictures too, because on a busy machine the test could ask for few.
@@ -160,7 +162,7 @@ def test_every_touch_is_listed_with_its_answers(played: WatchedPage) -> None:
         assert re.findall(r"[a-z]{3,}", path) == [name for name, _ in itertools.groupby(gestures)]
 
 
-def test_answers_stand_at_their_marks_and_show_changes(played: WatchedPage) -> None:
+def test_answers_stand_where_they_were_said_and_show_changes(played: WatchedPage) -> None:
     last = played.ended[-1].touch
     answers = [answer for answer in played.answers if answer.touch == last][:3]
     flags = played.run(
@@ -175,9 +177,11 @@ def test_answers_stand_at_their_marks_and_show_changes(played: WatchedPage) -> N
     for text, answer in zip(texts_of(played.chrome, "#flags li"), answers, strict=False):
         assert text.startswith(f"{answer.gesture}\n{100 * answer.confidence:.0f} %")
     assert texts_of(played.chrome, "#marks li") == ["1 s", "1.5 s", "2.67 s"]
-    at_flags, at_marks = (lefts_and_rights(played.chrome, f"#{name} li") for name in ("flags", "marks"))
-    assert at_flags[:3, 0] == pytest.approx(at_marks[:, 0], abs=1)
-    assert "↻ changed from scratch" in text_of(played.chrome, "#remark")
+    said_s = [answer.elapsed_s + answer.age_ms / 1000 for answer in answers]
+    places = """return [...document.querySelectorAll('#flags li')]
+      .map((flag) => +flag.style.getPropertyValue('--at'))"""
+    assert played.run(places)[:3] == pytest.approx([min(at_s / LINE_S, 1.0) for at_s in said_s], abs=0.001)
+    assert "↻ before: scratch" in text_of(played.chrome, "#remark")
 
 
 def test_the_answer_and_its_confidence_are_largest(played: WatchedPage) -> None:
@@ -208,6 +212,7 @@ def test_stale_data_is_not_shown_as_live(played: WatchedPage) -> None:
     assert played.run("return getComputedStyle(document.getElementById('heat')).opacity") == "0.35"
     wait_for(lambda: text_of(played.chrome, "#banner").startswith("The pad is down"))
     assert text_of(played.chrome, "#vital-pad dd") == "down"
+    assert text_of(played.chrome, "#vital-rate dd") == "–"
 
 
 def test_a_screen_reader_gets_each_answer_without_a_flood(played: WatchedPage) -> None:
@@ -398,7 +403,7 @@ def test_the_robots_words_and_why_an_answer_stands_are_shown(chrome: Chrome) -> 
         served.put_frame()
         wait_for(lambda: text_of(chrome, "#says") == "“Das war <b>Tätscheln</b>.”")
         assert text_of(chrome, "#gesture") == "Tätscheln"
-        why = "Tätscheln stands: Reiben leads by 5 points, 10 are needed"
+        why = "the answer stands: the likeliest leads by 5 points, 10 are needed"
         assert text_of(chrome, "#chances-when") == why
         assert text_of(chrome, "#bars .best") == "Tätscheln"
 
@@ -526,9 +531,86 @@ def test_an_unsure_answer_shows_no_percentage(chrome: Chrome) -> None:
         assert "%" not in shown
 
 
+def test_a_flag_stands_where_its_answer_was_said(chrome: Chrome) -> None:
+    with serving(robot=RobotSettings(url="tcp://127.0.0.1")) as served:
+        chrome.get(f"http://127.0.0.1:{served.port}/")
+        served.sink.put(RobotEvent(state="up", time=TIME))
+        served.sink.put(TouchBegan(touch=1, time=TIME, sensor_ms=0))
+        late = {"stage": "released", "gesture": "stroke", "frames": 32, "elapsed_s": 0.6, "age_ms": 900.0}
+        served.sink.put(replace(PREDICTION, touch=1, **late))
+        served.put_frame()
+        wait_for(lambda: len(texts_of(chrome, "#flags li")) == 1)
+        assert text_of(chrome, "#flags small") == "saw 0.6 s, told at 1.5 s ✓"
+        assert text_of(chrome, "#certainty").endswith("saw 0.6 s")
+        assert text_of(chrome, "#remark") == "told the robot at 1.5 s"
+        flag, mark = (
+            lefts_and_rights(chrome, f"#{name}")[0] for name in ("flags li", "marks li:nth-child(2)")
+        )
+        assert flag[0] == pytest.approx(mark[0], abs=1)
+
+
+class Unsure(Prediction, frozen=True, kw_only=True, tag_field="type", tag="prediction"):
+    perhaps: str
+
+
+UNSURE = {"touch": 1, "stage": "uncertain", "gesture": "uncertain", "perhaps": "pat"}
+
+
+def test_a_guess_stays_on_the_page(chrome: Chrome) -> None:
+    for language, guess in (("en", "A pat, perhaps?"), ("de", "Tätscheln?")):
+        with serving(language=language) as served:
+            chrome.get(f"http://127.0.0.1:{served.port}/")
+            wait_for(lambda: text_of(chrome, "#gesture") == "Touch the pad")
+            served.sink.put(TouchBegan(touch=1, time=TIME, sensor_ms=0))
+            served.sink.put(Unsure(**asdict(PREDICTION) | UNSURE))
+            served.sink.put(TouchEnded(touch=1, gesture="uncertain", frames=5, reason="released", time=TIME))
+            served.put_frame()
+            wait_for(lambda guess=guess: listed(chrome) == [guess])
+            assert text_of(chrome, "#gesture") == guess
+            assert text_of(chrome, "#flags .name") == guess
+
+
+# Texts of the page in which a configured word, in brackets, stands beside letters other than those of times.
+MIXED = """
+  const seen = [...document.querySelectorAll('body *')].filter((one) => one.children.length === 0);
+  return seen.map((one) => one.textContent).filter((text) => text.includes('⟨') &&
+    /[a-z]{2}/i.test(text.replaceAll(/⟨.*?⟩/g, '').replace('before:', '')));
+"""
+
+
+def test_configured_words_stand_in_no_english_sentence(chrome: Chrome) -> None:
+    words = {gesture: Words(name=f"⟨{gesture}⟩", phrase=f"⟨{gesture}⟩") for gesture in LONG_WORDS}
+    with serving(words=words) as served:
+        put_a_touch(served, ["stroke", "rub", "tickle"])
+        look_at(chrome, served)
+        served.sink.put(TouchEnded(touch=1, gesture="tickle", frames=150, reason="released", time=TIME))
+        served.put_frame()
+        wait_for(lambda: listed(chrome) == ["⟨tickle⟩"])
+        assert text_of(chrome, "#gesture") == "⟨tickle⟩"
+        assert chrome.execute_script(MIXED) == []
+
+
+def test_the_list_of_touches_ends_with_a_whole_row(chrome: Chrome) -> None:
+    with serving() as served:
+        for number in range(1, 9):
+            put_a_touch(served, ["stroke", "stroke", "stroke"], number)
+            end = TouchEnded(touch=number, gesture="stroke", frames=150, reason="released", time=TIME)
+            served.sink.put(end)
+        served.put_frame()
+        for width, height in ((1280, 800), (1366, 768)):
+            show_in(chrome, width, height)
+            chrome.get(f"http://127.0.0.1:{served.port}/")
+            wait_for(lambda: len(listed(chrome)) == 8)
+            rows = """const bottom = document.getElementById('touches').getBoundingClientRect().bottom;
+              return [...document.querySelectorAll('#touches li')].map((row) => row.getBoundingClientRect())
+                .filter((box) => box.top < bottom - 1 && box.bottom > bottom + 1).length"""
+            wait_for(lambda: chrome.execute_script(rows) == 0)
+        show_in(chrome, 1280, 800)
+
+
 def test_what_was_told_stays_told_when_the_robot_leaves(chrome: Chrome, worded: Served) -> None:
     look_at(chrome, worded)
-    told = "told the robot after 2.67 s"
+    told = "told the robot at 2.67 s"
     wait_for(lambda: told in text_of(chrome, "#remark"))
     worded.sink.put(RobotEvent(state="down", time=TIME, reason="unplugged"))
     worded.put_frame()

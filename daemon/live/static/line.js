@@ -1,12 +1,14 @@
-// The time line of a touch: its pressure, the marks at which answers fall due, and the answers.
+// The time line of a touch: its pressure, the marks at which answers fall due, and the answers when they were said.
 
 import { SharpCanvas } from "./canvas.js";
-import { nameOf, percent, seconds } from "./words.js";
+import { nameOf, percent, saidAt, seconds, wordsOf } from "./words.js";
 
 const SHORTEST_S = 4;
 const AFTER_FINAL = 1.5;
 // The total of counts that fills half of the height, unless a touch is firmer.
 const LIGHT_LOAD = 300;
+// An answer that was said later than this after what it is about shows both times.
+const LATE_S = 0.1;
 const ROWS = 4;
 
 export class TimeLine {
@@ -87,7 +89,7 @@ function endOf(scene) {
 /** The answers that fall on the line, and the last of those that came later. */
 function onLine({ scene, touch }) {
   const said = touch?.predictions ?? [];
-  return said.filter((one) => one.elapsed_s < endOf(scene) || one === said.at(-1));
+  return said.filter((one) => saidAt(one) < endOf(scene) || one === said.at(-1));
 }
 
 function flag(prediction, before, scene) {
@@ -97,24 +99,26 @@ function flag(prediction, before, scene) {
   item.dataset.frames = prediction.frames;
   item.dataset.gesture = prediction.gesture;
   item.classList.toggle("changed", isChanged);
-  const at = prediction.elapsed_s / endOf(scene);
+  const said = saidAt(prediction);
+  const at = said / endOf(scene);
   item.style.setProperty("--at", Math.min(at, 1));
   const name = Object.assign(document.createElement("span"), {
     className: "name",
-    textContent: nameOf(prediction.gesture),
+    textContent: wordsOf(prediction),
   });
   const share = prediction.gesture === "uncertain" ? "" : percent(prediction.confidence);
-  // An answer after the line's end shows its time.
-  const told = [at > 1 ? `at ${seconds(prediction.elapsed_s)}` : "", prediction.told ? "✓" : ""].join(" ").trim();
-  const small = Object.assign(document.createElement("small"), { textContent: told });
-  const words = isChanged ? `, changed from ${nameOf(before.gesture)}` : "";
-  const toldText = prediction.told ? ", told" : "";
-  const unseen = Object.assign(document.createElement("span"), {
-    className: "unseen",
-    textContent: ` after ${seconds(prediction.elapsed_s)}${words}${toldText}`,
+  const when = `saw ${seconds(prediction.elapsed_s)}, ${prediction.told ? "told" : "said"} at ${seconds(said)}`;
+  // An answer after the line's end shows its times, too.
+  const isLate = at > 1 || said - prediction.elapsed_s > LATE_S;
+  const small = Object.assign(document.createElement("small"), {
+    textContent: [isLate ? when : "", prediction.told ? "✓" : ""].join(" ").trim(),
   });
+  item.title = when;
+  const spoken = [when, ...(isChanged ? [`before: ${nameOf(before.gesture)}`] : [])].map((text) =>
+    Object.assign(document.createElement("span"), { className: "unseen", textContent: `, ${text}` }),
+  );
   small.setAttribute("aria-hidden", "true");
-  item.append(name, share, small, unseen);
+  item.append(name, share, small, ...spoken);
   return item;
 }
 

@@ -64,7 +64,7 @@ function drawSoon() {
 function watch() {
   const age = store.frameAt === null ? null : (performance.now() - store.frameAt) / 1000;
   const isStale = link !== "live" || age === null || age > STALE_AFTER_S;
-  show.showVitals(store, link, age);
+  show.showVitals(store, link, isStale);
   show.showAge(age, isStale);
   const now = show.troubleOf(store, link, age, STALE_AFTER_S);
   if (now !== trouble) {
@@ -104,7 +104,7 @@ function onMessage(message) {
     stamp = message.page;
     link = "live";
     usePads(message.pads);
-    useNames(message.names);
+    useNames(message);
     visitors.use(message);
     touch.use(message.touchable);
     document.body.toggleAttribute("data-pad-only", message.labels.length === 0);
@@ -135,4 +135,7 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
   line.useTheme();
   drawSoon();
 });
-addEventListener("resize", drawSoon);
+addEventListener("resize", () => {
+  show.fitTouches();
+  drawSoon();
+});

@@ -1,6 +1,6 @@
 // Everything in words and bars: the answer, the probabilities, the last touches, and the status.
 
-import { answerOf, nameOf, percent, seconds, timeOfDay } from "./words.js";
+import { answerOf, nameOf, percent, saidAt, seconds, timeOfDay, wordsOf } from "./words.js";
 
 const ENDINGS = {
   gap: "too many frames were lost",
@@ -35,16 +35,17 @@ export function showAnswer(store) {
   say($("which"), touch ? `${isTouched ? "Touch" : "Last touch:"} ${touch.began.touch}` : "No touch yet");
   const gesture = $("gesture");
   const waiting = store.sensor?.state === "down" ? "The pad is down" : isTouched ? "…" : "Touch the pad";
-  say(gesture, answer ? nameOf(answer.gesture) : waiting);
+  say(gesture, answer ? wordsOf(answer) : waiting);
   gesture.style.setProperty("--letters", gesture.textContent.length);
   const previous = said.slice(0, -1).reverse().find((one) => one.gesture !== answer?.gesture);
   gesture.classList.toggle("waiting", answer === undefined);
   gesture.classList.toggle("changed", Boolean(answer?.changed && previous && isTouched));
   gesture.classList.toggle("over", !isTouched);
-  const after = answer ? `after ${seconds(answer.elapsed_s)}` : "";
+  gesture.classList.toggle("guess", Boolean(answer?.perhaps));
+  const saw = answer ? `saw ${seconds(answer.elapsed_s)}` : "";
   // The confidence is the likeliest gesture's, not that of being unsure.
   const certainty =
-    answer?.gesture === "uncertain" ? [after] : answer ? [make("b", "", percent(answer.confidence)), ` sure, ${after}`] : [];
+    answer?.gesture === "uncertain" ? [saw] : answer ? [make("b", "", percent(answer.confidence)), ` sure, ${saw}`] : [];
   $("certainty").replaceChildren(...certainty);
   $("remark").replaceChildren(...remarks(store, said, previous));
   showAction(store.action);
@@ -60,22 +61,21 @@ function showAction(action) {
   $("says").style.setProperty("--letters", $("says").textContent.length);
 }
 
-/** Return why the current answer is not the likeliest gesture; "" if it is. */
+/** Return why the current answer is not the likeliest gesture; "" if it is. Names may be in another language. */
 function whyItStands({ touch, isTouched, scene }, shown, best) {
   const answer = touch?.predictions.at(-1);
   if (!answer || !isTouched || best === answer.gesture || !(answer.gesture in shown.probabilities)) return "";
-  const [name, other] = [nameOf(answer.gesture), nameOf(best)];
-  if (best === "notouch") return `${name} stands: a pause replaces no answer`;
+  if (best === "notouch") return "the answer stands: a pause replaces none";
   const lead = shown.probabilities[best] - shown.probabilities[answer.gesture];
   const isTold = touch.predictions.some((one) => one.told);
   if (isTold && lead < scene.revise_margin) {
     const [points, needed] = [lead, scene.revise_margin].map((share) => Math.round(100 * share));
-    return `${name} stands: ${other} leads by ${points} point${points === 1 ? "" : "s"}, ${needed} are needed`;
+    return `the answer stands: the likeliest leads by ${points} point${points === 1 ? "" : "s"}, ${needed} are needed`;
   }
   if (isTold && shown.probabilities[best] < scene.speak_above) {
-    return `${name} stands: ${other} is likelier, but not yet ${percent(scene.speak_above)} sure`;
+    return `the answer stands: the likeliest is not yet ${percent(scene.speak_above)} sure`;
   }
-  return `${name} stands until the next answer`;
+  return "the answer stands until the next";
 }
 
 function remarks({ scene, reported, touch }, said, previous) {
@@ -83,9 +83,9 @@ function remarks({ scene, reported, touch }, said, previous) {
   if (!answer) return [];
   const told = said.findLast((one) => one.told && one.gesture === answer.gesture);
   const whom = scene.robot_configured ? "the robot" : "a robot";
-  const telling = reported.has(touch.began.touch) ? `told ${whom} after` : `sure enough to tell ${whom} after`;
-  const remark = told ? `${telling} ${seconds(told.elapsed_s)}` : `not sure enough to tell ${whom}`;
-  const parts = previous ? [make("b", "", `↻ changed from ${nameOf(previous.gesture)}`), " · "] : [];
+  const telling = reported.has(touch.began.touch) ? `told ${whom} at` : `sure enough to tell ${whom} at`;
+  const remark = told ? `${telling} ${seconds(saidAt(told))}` : `not sure enough to tell ${whom}`;
+  const parts = previous ? [make("b", "", `↻ before: ${nameOf(previous.gesture)}`), " · "] : [];
   const degraded = answer.degraded ? " · frames were lost" : "";
   return [...parts, remark, degraded];
 }
@@ -110,7 +110,7 @@ export function showChances(store) {
   const when = store.live
     ? `so far, after ${seconds(Number((store.live.frames / rate).toFixed(1)))}`
     : answer
-      ? `answered after ${seconds(answer.elapsed_s)}`
+      ? `of the answer, saw ${seconds(answer.elapsed_s)}`
       : "";
   const why = shown ? whyItStands(store, shown, best) : "";
   say($("chances-when"), why || when);
@@ -123,11 +123,22 @@ function makeBar() {
   return make("li", "", make("span", "name"), bar, make("span", "share"));
 }
 
+/** Keep the list of touches as high as whole rows are. */
+export function fitTouches() {
+  const list = $("touches");
+  list.style.maxHeight = "";
+  const room = list.clientHeight;
+  const bottoms = [...list.children].map((row) => row.offsetTop + row.offsetHeight);
+  const whole = bottoms.findLast((bottom) => bottom <= room);
+  if (whole && bottoms.at(-1) > room) list.style.maxHeight = `${whole}px`;
+}
+
 export function showTouches(store) {
   const ended = store.touches.filter((touch) => touch.ended !== null).reverse();
   $("touches").replaceChildren(
     ...(ended.length ? ended.map((touch) => row(touch, store.scene)) : [make("li", "path", "none yet")]),
   );
+  fitTouches();
 }
 
 function row({ began, predictions, ended }, scene) {
@@ -136,7 +147,7 @@ function row({ began, predictions, ended }, scene) {
   let before = null;
   for (const one of predictions) {
     if (one.gesture === before) continue;
-    const name = `${answerOf(one)} at ${seconds(one.elapsed_s)}`;
+    const name = `${answerOf(one)}, ${seconds(one.elapsed_s)}`;
     path.append(before === null ? name : make("em", "", ` ↻ ${name}`));
     before = one.gesture;
   }
@@ -144,19 +155,19 @@ function row({ began, predictions, ended }, scene) {
   return make(
     "li",
     "",
-    make("b", "", nameOf(ended.gesture)),
+    make("b", "", ended.gesture === predictions.at(-1)?.gesture ? wordsOf(predictions.at(-1)) : nameOf(ended.gesture)),
     make("span", "when", `${length} · ${timeOfDay(began.time)}`),
     path,
   );
 }
 
-/** Show the status. `link`: "live", or why there is no connection. `age`: of the newest frame, in seconds. */
-export function showVitals(store, link, age) {
+/** Show the status. `link`: "live", or why there is no connection. `isStale`: whether frames have stopped. */
+export function showVitals(store, link, isStale) {
   const isLive = link === "live";
   const { sensor, robot, scene, status } = store;
   vital("link", isLive ? "live" : "reconnecting", isLive ? "good" : "bad");
-  vital("pad", ...padState(isLive ? sensor : null));
-  vital("rate", status && isLive && age !== null ? `${Math.round(status.rate_hz)} frames/s` : "–");
+  vital("pad", ...padState(isLive ? sensor : null, isStale));
+  vital("rate", status && !isStale ? `${Math.round(status.rate_hz)} frames/s` : "–");
   vital("dropped", status ? `${status.dropped}` : "–", status?.dropped ? "bad" : undefined);
   vital("robot", ...robotState(isLive, scene, robot));
   const latency = store.touches.flatMap((touch) => touch.predictions).at(-1)?.latency_ms;
@@ -164,8 +175,9 @@ export function showVitals(store, link, age) {
   vital("model", model && latency !== undefined ? `${model}, answers in ${latency.toFixed(1)} ms` : model || "–");
 }
 
-function padState(sensor) {
-  if (!sensor) return ["–", "none"];
+function padState(sensor, isStale) {
+  // Nobody tells the state of a simulated pad whose touches another program answers.
+  if (!sensor) return isStale ? ["–", "none"] : ["up", "good"];
   return [sensor.state, sensor.state === "up" ? "good" : "bad"];
 }
 

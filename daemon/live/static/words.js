@@ -1,19 +1,31 @@
 // Formats gestures, shares and times.
 
 let names = { notouch: "no touch" };
+let guesses = {};
 
-/** Use the gesture names of the configuration. */
-export function useNames(configured) {
-  names = configured;
+/** Use the gesture names of the configuration, and its words for a guess. */
+export function useNames(scene) {
+  ({ names, guesses } = scene);
 }
 
 export function nameOf(gesture) {
   return names[gesture] ?? gesture;
 }
 
-/** A gesture and its confidence; "uncertain" has none. */
-export function answerOf({ gesture, confidence }) {
-  return gesture === "uncertain" ? nameOf(gesture) : `${nameOf(gesture)} ${percent(confidence)}`;
+/** An answer in words, or a guess if nothing is sure: "A pat, perhaps?". */
+export function wordsOf({ gesture, perhaps }) {
+  return (gesture === "uncertain" && guesses[perhaps]) || nameOf(gesture);
+}
+
+/** An answer and its confidence; "uncertain" has none. */
+export function answerOf(prediction) {
+  const { gesture, confidence } = prediction;
+  return gesture === "uncertain" ? wordsOf(prediction) : `${nameOf(gesture)} ${percent(confidence)}`;
+}
+
+/** When an answer was said, in seconds since the touch began: after the frames that it is about, by their age. */
+export function saidAt({ elapsed_s, age_ms }) {
+  return elapsed_s + age_ms / 1000;
 }
 
 export function percent(share) {
