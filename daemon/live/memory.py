@@ -173,7 +173,7 @@ class Memory:
             speak_above=scene.speak_above,
             revise_margin=scene.revise_margin,
             names={label: name_of(settings.vocabulary, label) for label in (*labels, UNCERTAIN)},
-            guesses={label: _guess(settings.vocabulary, label) for label in labels if label != NO_TOUCH},
+            guesses={label: _guess(settings.vocabulary, label) for label in set(labels) - {NO_TOUCH}},
             robot_configured=settings.robot is not None,
             action=self._action,
             sensor=self._sensor,
@@ -187,7 +187,7 @@ class Memory:
 
 
 def _guess(words: Vocabulary, gesture: str) -> str:
-    """Return the words for a gesture when nothing is sure; English stands only beside touchd's own English."""
+    """Return the words for an unsure gesture; only touchd's own English goes into an English sentence."""
     name = name_of(words, gesture)
     shipped_name, phrase = SHIPPED["en"].get(gesture, ("", ""))
     return f"{phrase[0].upper()}{phrase[1:]}, perhaps?" if name == shipped_name else f"{name}?"

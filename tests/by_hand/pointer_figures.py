@@ -33,7 +33,7 @@ def main() -> None:
             for name, count in names.most_common()
             if name != kind.gesture
         )
-        sys.stdout.write(f"| {kind.name} | {right:.0f} % | {others} |\n")
+        sys.stdout.write(f"| {kind.name} | {right:.0f} | {others} |\n")
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from msgspec.structs import asdict, replace
+from msgspec.structs import replace
 from numpy.typing import NDArray
 from rigs.browser import prefer, show_in
 from rigs.expectations import DEMO, stream_of
@@ -212,7 +212,7 @@ def test_stale_data_is_not_shown_as_live(played: WatchedPage) -> None:
     assert played.run("return getComputedStyle(document.getElementById('heat')).opacity") == "0.35"
     wait_for(lambda: text_of(played.chrome, "#banner").startswith("The pad is down"))
     assert text_of(played.chrome, "#vital-pad dd") == "down"
-    assert text_of(played.chrome, "#vital-rate dd") == "–"
+    assert "frames/s" not in text_of(played.chrome, "#vital-rate dd")
 
 
 def test_a_screen_reader_gets_each_answer_without_a_flood(played: WatchedPage) -> None:
@@ -532,8 +532,10 @@ def test_an_unsure_answer_shows_no_percentage(chrome: Chrome) -> None:
 
 
 def test_a_flag_stands_where_its_answer_was_said(chrome: Chrome) -> None:
+    show_in(chrome, 1280, 800)
     with serving(robot=RobotSettings(url="tcp://127.0.0.1")) as served:
         chrome.get(f"http://127.0.0.1:{served.port}/")
+        wait_for(lambda: text_of(chrome, "#gesture") == "Touch the pad")
         served.sink.put(RobotEvent(state="up", time=TIME))
         served.sink.put(TouchBegan(touch=1, time=TIME, sensor_ms=0))
         late = {"stage": "released", "gesture": "stroke", "frames": 32, "elapsed_s": 0.6, "age_ms": 900.0}
@@ -549,10 +551,6 @@ def test_a_flag_stands_where_its_answer_was_said(chrome: Chrome) -> None:
         assert flag[0] == pytest.approx(mark[0], abs=1)
 
 
-class Unsure(Prediction, frozen=True, kw_only=True, tag_field="type", tag="prediction"):
-    perhaps: str
-
-
 UNSURE = {"touch": 1, "stage": "uncertain", "gesture": "uncertain", "perhaps": "pat"}
 
 
@@ -562,7 +560,7 @@ def test_a_guess_stays_on_the_page(chrome: Chrome) -> None:
             chrome.get(f"http://127.0.0.1:{served.port}/")
             wait_for(lambda: text_of(chrome, "#gesture") == "Touch the pad")
             served.sink.put(TouchBegan(touch=1, time=TIME, sensor_ms=0))
-            served.sink.put(Unsure(**asdict(PREDICTION) | UNSURE))
+            served.sink.put(replace(PREDICTION, **UNSURE))
             served.sink.put(TouchEnded(touch=1, gesture="uncertain", frames=5, reason="released", time=TIME))
             served.put_frame()
             wait_for(lambda guess=guess: listed(chrome) == [guess])
@@ -601,10 +599,10 @@ def test_the_list_of_touches_ends_with_a_whole_row(chrome: Chrome) -> None:
             show_in(chrome, width, height)
             chrome.get(f"http://127.0.0.1:{served.port}/")
             wait_for(lambda: len(listed(chrome)) == 8)
-            rows = """const bottom = document.getElementById('touches').getBoundingClientRect().bottom;
+            cut = """const bottom = document.getElementById('touches').getBoundingClientRect().bottom;
               return [...document.querySelectorAll('#touches li')].map((row) => row.getBoundingClientRect())
                 .filter((box) => box.top < bottom - 1 && box.bottom > bottom + 1).length"""
-            wait_for(lambda: chrome.execute_script(rows) == 0)
+            wait_for(lambda cut=cut: chrome.execute_script(cut) == 0)
         show_in(chrome, 1280, 800)
 
 
