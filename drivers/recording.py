@@ -87,11 +87,15 @@ EVERYTHING = Selection()
 
 @dataclass(frozen=True)
 class Span:
-    """A labelled stretch of a stream: frames start <= i < stop show `gesture`."""
+    """A labelled stretch of a stream: frames start <= i < stop show `gesture`.
+
+    is_added: it was put beside the recordings, to play them, and is in none of them.
+    """
 
     start: int
     stop: int
     gesture: str
+    is_added: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -128,7 +128,12 @@ def with_quiet(recordings: Sequence[Recording], quiet: Sequence[Recording]) -> S
     parts: list[Recording] = []
     for _, together in groupby(recordings, key=set_up):
         parts += _quietened(list(together), quiet)
-    return splice(parts)
+    stream = splice(parts)
+    own = {id(recording) for recording in recordings}
+    spans = [
+        replace(span, is_added=id(part) not in own) for span, part in zip(stream.spans, parts, strict=True)
+    ]
+    return replace(stream, spans=tuple(spans))
 
 
 def _quietened(recordings: Sequence[Recording], quiet: Sequence[Recording]) -> list[Recording]:

@@ -45,17 +45,23 @@ LABEL: Mapping[str, Any] = {
     **NO_FORMULA,
 }
 LEAST_COLUMNS, MOST_COLUMNS = 4, 7
+LIGHTEST_FRAMES = 9
 # Lowest upper end of the scale, so that noise does not look like a touch.
 LEAST_SCALE_COUNTS = 100.0
 
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """A stream and what the pipeline made of it. time_s: (T,). rise: (T, 8, 8) counts above rest."""
+    """A stream and what the pipeline made of it.
+
+    time_s: (T,) since the first recorded frame; negative in quiet that was added before it. rise: (T, 8, 8)
+    counts above rest. is_rest_known: False where the lightest moment of a recording had to do for its rest.
+    """
 
     stream: Stream
     time_s: NDArray[np.float64]
     rise: NDArray[np.float64]
+    is_rest_known: bool
     touches: list[ReportedTouch]
     starts_s: list[float]
 
@@ -81,9 +87,10 @@ def trace(stream: Stream, settings: Settings, model: Classifier) -> Trace:
     restarts = np.flatnonzero(steps_ms <= 0) + 1
     steps_ms = np.where(steps_ms > 0, steps_ms, 1000 / FRAME_RATE_HZ)
     time_s = np.concatenate([[0.0], np.cumsum(steps_ms)]) / 1000
-    if time_s[-1] > LONGEST_S:
+    time_s -= time_s[_recorded(stream)[0]]
+    if (length_s := time_s[_recorded(stream)[1] - 1]) > LONGEST_S:
         raise PlotError(
-            f"{time_s[-1]:.0f} s do not fit in one picture ({LONGEST_S:g} s at most); select with "
+            f"{length_s:.0f} s do not fit in one picture ({LONGEST_S:g} s at most); select with "
             "--participant, --substrate, --cover or --gesture"
         )
     events: list[Event] = []
@@ -98,18 +105,40 @@ def trace(stream: Stream, settings: Settings, model: Classifier) -> Trace:
             starts_s.append(float(time_s[latest]) - (int(stream.sensor_ms[latest]) - event.sensor_ms) / 1000)
 
     play(stream, Pipeline(settings.pipeline, model, emit), frames.append)
-    return Trace(stream, time_s, _rise(stream, restarts), gather(events), starts_s)
+    rise, is_rest_known = _rise(stream, restarts)
+    return Trace(stream, time_s, rise, is_rest_known, gather(events), starts_s)
 
 
-def _rise(stream: Stream, restarts: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return (T, 8, 8) counts above rest; the rest may change when the pad restarts."""
-    is_quiet = np.zeros(len(stream.counts), dtype=np.bool_)
+def _recorded(stream: Stream) -> tuple[int, int]:
+    """Return the first frame that is in a recording, and the one after the last."""
+    own = [span for span in stream.spans if not span.is_added]
+    return own[0].start, own[-1].stop
+
+
+def _rise(stream: Stream, restarts: NDArray[np.int64]) -> tuple[NDArray[np.float64], bool]:
+    """Return (T, 8, 8) counts above rest, which may change when the pad restarts, and whether it is known."""
+    is_quiet, is_own = np.zeros((2, len(stream.counts)), dtype=np.bool_)
     for span in stream.spans:
         is_quiet[span.start : span.stop] = span.gesture == NO_TOUCH
+        is_own[span.start : span.stop] = not span.is_added
     rise = stream.counts.astype(np.float64)
-    for part, quiet in zip(np.split(rise, restarts), np.split(is_quiet, restarts), strict=True):
-        part -= np.median(part[quiet], axis=0) if quiet.any() else part.min(axis=0)
-    return rise
+    is_known = True
+    parts = (np.split(each, restarts) for each in (rise, is_quiet, is_own))
+    for part, quiet, own in zip(*parts, strict=True):
+        # Quiet without noise is no pad's: it was made of each taxel's least reading.
+        is_real = quiet.any() and bool(np.ptp(part[quiet], axis=0).any())
+        part -= np.median(part[quiet], axis=0) if is_real else _lightest(part[own])
+        is_known &= is_real
+    return rise, is_known
+
+
+def _lightest(counts: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the mean of each taxel in the sixth of a second with the least pressure."""
+    frames = min(LIGHTEST_FRAMES, len(counts))
+    loads = np.convolve(counts.sum(axis=(1, 2)), np.ones(frames), "valid")
+    first = int(loads.argmin())
+    lightest: NDArray[np.float64] = counts[first : first + frames].mean(axis=0)
+    return lightest
 
 
 def draw(traced: Trace, title: str) -> Figure:
@@ -139,7 +168,7 @@ def draw(traced: Trace, title: str) -> Figure:
 
 def _rows(traced: Trace) -> list[tuple[float, float]]:
     """Return start and end of each row in seconds: rows of similar length, split where nothing touches."""
-    end_s = float(traced.time_s[-1])
+    end_s = float(traced.time_s[_recorded(traced.stream)[1] - 1])
     count = max(1, math.ceil(end_s / ROW_S))
     length_s = end_s / count
     quiets = [span for span in traced.stream.spans if span.gesture == NO_TOUCH]
@@ -162,6 +191,8 @@ def _draw_pressure(axes: Axes, traced: Trace, gestures: Sequence[str], begin_s: 
         if start_s < stop_s:
             axes.axvspan(start_s, stop_s, color=PALE, linewidth=0, zorder=0)
     for span in traced.stream.spans:
+        if span.is_added:
+            continue
         part = slice(max(span.start, first), min(span.stop, last) + 1)
         if len(load[part]) == 0:
             continue
@@ -172,16 +203,18 @@ def _draw_pressure(axes: Axes, traced: Trace, gestures: Sequence[str], begin_s: 
             middle_s = traced.time_s[part].mean()
             axes.text(middle_s, 1.04 * highest, span.gesture, color=colour, clip_on=True, **LABEL)
     axes.set_ylim(min(0.0, float(load[first : last + 1].min())), 1.25 * highest)
-    axes.set_ylabel("counts above rest", fontsize=8, color=QUIET_INK)
+    above = "rest" if traced.is_rest_known else "the lightest moment"
+    axes.set_ylabel(f"counts above {above}", fontsize=8, color=QUIET_INK)
     bare(axes, "left", "bottom")
 
 
 def _draw_answers(axes: Axes, traced: Trace, gestures: Sequence[str], begin_s: float, end_s: float) -> None:
-    """Draw each answer at its time, in the lane of its stage."""
+    """Draw each answer at its time, in the lane of its stage; those about frames after the end, at the end."""
+    last_s = np.nextafter(_rows(traced)[-1][1], 0.0)
     for number, touch in enumerate(traced.touches):
         truth = traced.truth(number)
         for answer in touch.predictions:
-            at_s = traced.starts_s[number] + answer.elapsed_s
+            at_s = min(traced.starts_s[number] + answer.elapsed_s, last_s)
             if begin_s <= at_s < end_s:
                 is_wrong = truth != UNLABELLED and answer.gesture not in (truth, UNCERTAIN)
                 draw_answer(axes, at_s, -lane_of(answer), answer, gestures, wrong=is_wrong)

@@ -19,6 +19,7 @@ from touchd.daemon.config import Settings
 from touchd.daemon.events import Event, Prediction, Stage, TouchBegan, TouchEnded, encode
 from touchd.daemon.kept.touches import gather, read_journal
 from touchd.daemon.parts import load_model
+from touchd.daemon.playback.stream import with_quiet
 from touchd.daemon.plot import journal as plot_journal
 from touchd.daemon.plot import recording as plot_recording
 from touchd.daemon.plot.plot import OTHER_COLOURS, PlotError, colour_of
@@ -229,3 +230,29 @@ def test_an_impossible_picture_is_refused_in_one_line(
     told = capsys.readouterr().err
     assert message in told
     assert len(told.splitlines()) == 1
+
+
+def test_a_recording_without_rest_returns_to_zero_between_strokes() -> None:
+    """Time begins with the recording, not with the quiet that is played before it."""
+    stroke = simulate([("notouch", 2.0), ("stroke", 5.0)], seed=4)[1]
+    alone = traced(with_quiet([stroke], []))
+    first, last = (next(span for span in alone.stream.spans if not span.is_added) for _ in range(2))
+    load = alone.rise.sum(axis=(1, 2))[first.start : last.stop]
+    assert abs(np.quantile(load, 0.1)) < 15
+    assert not alone.is_rest_known
+    figure = plot_recording.draw(alone, "a title")
+    assert "counts above the lightest moment" in words(figure)
+    begin_s, end_s = (
+        f(float(np.asarray(line.get_xdata())[end]) for axes in figure.subfigs[0].axes for line in axes.lines)
+        for f, end in ((min, 0), (max, -1))
+    )
+    assert begin_s == 0.0
+    assert end_s < 5.1
+
+
+def test_rest_of_the_same_person_is_used(demo: Trace) -> None:
+    quiet, stroke = simulate([("notouch", 5.0), ("stroke", 5.0)], seed=4)
+    beside = traced(with_quiet([stroke], [quiet]))
+    assert beside.is_rest_known
+    assert demo.is_rest_known
+    assert beside.time_s[0] == pytest.approx(-4.0, abs=0.1)
