@@ -203,13 +203,13 @@ def _draw_pressure(axes: Axes, traced: Trace, gestures: Sequence[str], begin_s: 
             middle_s = traced.time_s[part].mean()
             axes.text(middle_s, 1.04 * highest, span.gesture, color=colour, clip_on=True, **LABEL)
     axes.set_ylim(min(0.0, float(load[first : last + 1].min())), 1.25 * highest)
-    above = "rest" if traced.is_rest_known else "the lightest moment"
-    axes.set_ylabel(f"counts above {above}", fontsize=8, color=QUIET_INK)
+    label = "counts above rest" if traced.is_rest_known else "above lightest moment"
+    axes.set_ylabel(label, fontsize=8, color=QUIET_INK)
     bare(axes, "left", "bottom")
 
 
 def _draw_answers(axes: Axes, traced: Trace, gestures: Sequence[str], begin_s: float, end_s: float) -> None:
-    """Draw each answer at its time, in the lane of its stage; those about frames after the end, at the end."""
+    """Draw each answer at its time, in the lane of its stage, but none after the end."""
     last_s = np.nextafter(_rows(traced)[-1][1], 0.0)
     for number, touch in enumerate(traced.touches):
         truth = traced.truth(number)

@@ -241,7 +241,7 @@ def test_a_recording_without_rest_returns_to_zero_between_strokes() -> None:
     assert abs(np.quantile(load, 0.1)) < 15
     assert not alone.is_rest_known
     figure = plot_recording.draw(alone, "a title")
-    assert "counts above the lightest moment" in words(figure)
+    assert "above lightest moment" in words(figure)
     begin_s, end_s = (
         f(float(np.asarray(line.get_xdata())[end]) for axes in figure.subfigs[0].axes for line in axes.lines)
         for f, end in ((min, 0), (max, -1))
