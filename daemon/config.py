@@ -180,9 +180,16 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
                 raise ValueError(f"sensors: invalid pad name {name!r}; use one word such as left_arm")
             if not name.isascii() and (self.ros2 or self.rosbridge or (self.mqtt and self.mqtt.discovery)):
                 raise ValueError(f"sensors: {name}: ROS and Home Assistant take only a to z, 0 to 9 and _")
-        ports = [pad.port for pad in self.sensors.values()]
-        if shared := [port for port in ports if ports.count(port) > 1]:
-            raise ValueError(f"sensors: {shared[0]} is the port of more than one pad; give each its own")
+        named: dict[str, str] = {}
+        for pad in self.sensors.values():
+            device = pad.port.lower() if "://" in pad.port else os.path.realpath(pad.port)
+            other = named.get(device)
+            if other is not None:
+                same = f", the same device as {other}," if other != pad.port else ""
+                raise ValueError(
+                    f"sensors: {pad.port}{same} is the port of more than one pad; give each its own"
+                )
+            named[device] = pad.port
 
     @property
     def pads(self) -> dict[str, "Settings"]:

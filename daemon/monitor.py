@@ -222,7 +222,9 @@ class _LineFaults:
             # What the board prints when it crashes and starts is not damage.
             refused = 0
         if intact and refused > MANY_SHARE * (intact + refused):
-            advice = "try a shorter cable and another USB port, no hub"
+            advice = (
+                "try a shorter cable and another USB port, no hub; does another program read it too (fuser)?"
+            )
             if "://" in self._where:
                 advice = "does another board send there too?"
             share = refused / (intact + refused)

@@ -35,6 +35,7 @@ ADVICE_FOR_PORT = {
     "missing": "plug the pad in, or name its port in sensor.port or with --port",
     "denied": "after that: log out and in again",
     "busy": "end the other program while the doctor looks",
+    "shared": "end the other program while the doctor looks",
     "unusable": "name the pad's port in sensor.port or with --port",
 }
 ADVICE_FOR_BYTES = {

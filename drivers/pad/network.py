@@ -7,6 +7,7 @@ import time
 from typing import Any
 
 from touchd.drivers.faults import FaultLog
+from touchd.drivers.pad.why_not import ClosedAtOnceError
 
 log = logging.getLogger(__name__)
 
@@ -36,6 +37,7 @@ class NetworkPort:
             except OSError:
                 self._socket.close()
                 raise
+        self._has_received = False
         self._sender: Any = None
         self._until_s = 0.0
         self._sends_frames = False
@@ -51,13 +53,19 @@ class NetworkPort:
             data, sender = self._socket.recvfrom(MAX_BYTES)
         except TimeoutError:
             return b""
-        if not data and self.is_stream:
-            raise ConnectionResetError("the pad closed the connection")
+        except ConnectionResetError as error:
+            raise self._closed() from error
         if self.is_stream:
+            if not data:
+                raise self._closed()
+            self._has_received = True
             return data
         if not self._follows(sender):
             return b""
         return _ended_lines(data) if is_text else data
+
+    def _closed(self) -> ConnectionError:
+        return ConnectionResetError() if self._has_received else ClosedAtOnceError()
 
     def keep_sender(self) -> None:
         """Note that what was read last completed a frame: its sender is the pad."""

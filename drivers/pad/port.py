@@ -14,34 +14,23 @@ from typing import TypeAlias, Union
 
 import serial
 
-from touchd.drivers.errors import TouchdError
 from touchd.drivers.pad.parser import FrameParser
+from touchd.drivers.pad.why_not import SensorError as SensorError
+from touchd.drivers.pad.why_not import programs_at, shared, why_not_opened, why_not_read
 
 READ_TIMEOUT_S = 0.1
 READ_BYTES = 65536
 
-NOT_THERE = {errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO, errno.ECONNREFUSED, errno.EHOSTUNREACH}
-NOT_ALLOWED = {errno.EACCES, errno.EPERM}
-# EAGAIN is what pyserial's lock reports when another program that locks, as touchd does, has the port open.
-IN_USE = {errno.EBUSY, errno.EAGAIN, errno.EADDRINUSE}
 ADDRESS = re.compile(r"(tcp|udp)://(\[[^\]]+\]|[^\s/:]+):(\d{1,5})")
-
-
-class SensorError(TouchdError):
-    """The port cannot be used; the message says why and what to do.
-
-    kind: "missing", "denied", "busy" or "unusable".
-    """
-
-    def __init__(self, kind: str, message: str) -> None:
-        super().__init__(message)
-        self.kind = kind
-
 
 if typing.TYPE_CHECKING:
     from touchd.drivers.pad.network import NetworkPort
 
 Line: TypeAlias = Union[serial.Serial, "NetworkPort"]
+
+
+class NothingReadError(Exception):
+    """Bytes had arrived at a port that is still there, and another program read them first."""
 
 
 def at_baud(port: str, baud: int) -> str:
@@ -67,7 +56,7 @@ def check_port(port: str, baud: int) -> None:
         if not os.access(port, os.R_OK | os.W_OK, effective_ids=True):
             raise PermissionError(errno.EACCES, "permission denied")
     except (OSError, ValueError, re.error) as error:
-        raise _explained(port, error) from error
+        raise why_not_opened(port, error) from error
 
 
 def open_port(port: str, baud: int) -> Line:
@@ -79,7 +68,7 @@ def open_port(port: str, baud: int) -> Line:
             return NetworkPort(port, *address, READ_TIMEOUT_S)
         opened = serial.serial_for_url(port, baudrate=baud, timeout=READ_TIMEOUT_S, exclusive=True)
     except (OSError, ValueError, LookupError, re.error, termios.error) as error:
-        raise _explained(port, error) from error
+        raise why_not_opened(port, error) from error
     # The lock above keeps out only programs that lock, too. A pseudo-terminal is left out, because it would
     # stay closed to others if touchd were killed.
     if isinstance(opened, serial.Serial) and not os.path.realpath(port).startswith("/dev/pts/"):
@@ -92,7 +81,7 @@ def open_port(port: str, baud: int) -> Line:
 
 
 def read_waiting(opened: Line, parser: FrameParser) -> bytes:
-    """Return what has arrived, waiting at most 0.1 s for it; raise SensorError when the port is gone.
+    """Return what has arrived, waiting at most 0.1 s for it; raise SensorError when it cannot be read.
 
     A pad that only answers is asked when its parser says so.
     """
@@ -106,8 +95,10 @@ def read_waiting(opened: Line, parser: FrameParser) -> bytes:
             return _read(opened.fileno())
         first = opened.read(1)
         return first + opened.read(opened.in_waiting) if first else b""
+    except NothingReadError as error:
+        raise shared(str(opened.port), programs_at(str(opened.port))) from error
     except (OSError, termios.error) as error:
-        raise SensorError("missing", f"{opened.port} went away: unplugged or switched off?") from error
+        raise why_not_read(str(opened.port), error) from error
 
 
 def reads_all(opened: Line) -> bool:
@@ -142,7 +133,10 @@ def _read(fd: int) -> bytes:
     except BlockingIOError:
         return b""
     if not data:
-        raise OSError(errno.EIO, "readable, but nothing to read")
+        # A port that is gone is readable, too, and says so.
+        hung_up = select.poll()
+        hung_up.register(fd, 0)
+        raise OSError(errno.EIO, "hung up") if hung_up.poll(0) else NothingReadError
     return data
 
 
@@ -155,24 +149,3 @@ def _ask(opened: Line, parser: FrameParser) -> None:
     opened.reset_input_buffer()
     parser.ask(time.monotonic())
     opened.write(bytes.fromhex(parser.format.poll))
-
-
-def _explained(port: str, error: Exception) -> SensorError:
-    number = error.errno if isinstance(error, OSError) else None
-    if number in NOT_THERE:
-        question = "is the pad's board switched on, and in this network?"
-        if "://" not in port:
-            question = "is the pad plugged in and switched on?"
-        return SensorError("missing", f"{port} is not there: {question}")
-    if number in NOT_ALLOWED:
-        return SensorError(
-            "denied",
-            f"no permission to open {port}: add the user to the group dialout (sudo usermod -aG dialout "
-            "$USER, then log in again) or install the udev rule systemd/99-touchd.rules",
-        )
-    if number in IN_USE:
-        hint = str(error) if "://" in port else f"fuser {port} shows which"
-        return SensorError("busy", f"{port} is busy: another program reads it ({hint})")
-    if "://" not in port and os.path.exists(port) and not stat.S_ISCHR(os.stat(port).st_mode):
-        return SensorError("unusable", f"{port} is not a serial port: name a device like /dev/ttyACM0")
-    return SensorError("unusable", f"{port} cannot be opened: {error}")

@@ -9,15 +9,10 @@ import serial
 
 from touchd.drivers.faults import Backoff
 from touchd.drivers.frame import Frame, SensorState
+from touchd.drivers.pad.arrived import why_no_frame
 from touchd.drivers.pad.parser import FrameParser
-from touchd.drivers.pad.port import (
-    Line,
-    SensorError,
-    at_baud,
-    open_port,
-    read_waiting,
-    reads_all,
-)
+from touchd.drivers.pad.port import Line, at_baud, open_port, read_waiting, reads_all
+from touchd.drivers.pad.why_not import SensorError, shared_by
 from touchd.drivers.queue import DroppingQueue, Signal
 
 log = logging.getLogger(__name__)
@@ -32,6 +27,10 @@ FLOOD_BYTES, FLOOD_REST, LONGEST_REST_S = 16384, 9, 0.25
 # Frames that nobody needs at once are read four at a time at 54 Hz, because a wake-up with cold caches costs
 # more than a frame. Linux keeps 4096 bytes of a port: if half of that has come, the next read is not put off.
 UNHURRIED_S, MOST_UNHURRIED_BYTES = 0.0745, 2048
+# At this rate many boards start their boot loader when the port is closed.
+BOOT_BAUD = 1200
+# After it was reopened this often without a byte, the board needs a person.
+SILENT_OPENINGS = 3
 # Enough for a few frames, even if a telnet server doubles their bytes FF.
 RECENT_BYTES = 32768
 
@@ -81,6 +80,8 @@ class Sensor:
         self._reopen_after_s = reopen_after_s
         self._frameless_s = frameless_s
         self._is_up = False
+        self._is_shared = False
+        self._silent_openings = 0
         self._has_time: Callable[[], bool] = lambda: False
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="touchd-sensor", daemon=True)
@@ -96,6 +97,12 @@ class Sensor:
         has_time: whether nobody needs the next frames within UNHURRIED_S; called from the reader's thread.
         """
         self._has_time = has_time
+        if self._baud == BOOT_BAUD and "://" not in self._port:
+            log.warning(
+                "%s: closing a port at 1200 baud starts the boot loader of many boards; set the baud rate of "
+                "the pad's firmware",
+                self._port,
+            )
         self._thread.start()
 
     def stop(self, timeout_s: float = 1.0) -> None:
@@ -111,9 +118,14 @@ class Sensor:
         while not self._stop.is_set():
             begun_s = time.monotonic()
             try:
+                # Opening restarts an Arduino, so wait for the other program to leave first.
+                if self._is_shared and (error := shared_by(self._port)):
+                    raise error
+                self._is_shared = False
                 with open_port(self._port, self._baud) as opened:
                     self._read(opened)
             except SensorError as error:
+                self._is_shared = error.kind == "shared"
                 self._report_down(error.kind, str(error))
             except Exception as error:
                 # Retry after any error: a dead reader would stay down.
@@ -126,6 +138,7 @@ class Sensor:
     def _read(self, opened: Line) -> None:
         """Read until stopped, or until the port should be opened again."""
         self.parser.reset()
+        self._silent_openings += 1
         recent = b""
         can_wait = reads_all(opened) and not self.parser.format.poll
         read_s = byte_s = frame_s = reported_s = time.monotonic()
@@ -137,6 +150,7 @@ class Sensor:
             read_s = now_s
             if data:
                 byte_s = now_s
+                self._silent_openings = 0
                 recent = (recent + data)[-RECENT_BYTES:]
                 if self._hand_over(data, now_s):
                     frame_s, recent = now_s, b""
@@ -169,17 +183,19 @@ class Sensor:
 
     def _report_no_frames(self, recent: bytes, *, is_silent: bool) -> None:
         """Report that no frames come, and what comes instead."""
-        described = self.parser.format
-        if is_silent:
+        is_udp, is_serial = self._port.startswith("udp://"), "://" not in self._port
+        if not is_silent:
+            cause, why = why_no_frame(self._port, self.parser.format, recent)
+            self._report_down(cause, f"{self.where}: {why}")
+        elif self._silent_openings > SILENT_OPENINGS and not is_udp:
+            what = "takes the port but says nothing, also after it was opened again"
+            repair = "unplug it, and plug it in again" if is_serial else "switch it off and on"
+            self._report_down("mute", f"{self.where}: the board {what}; {repair}")
+        else:
             why = "is it the pad's port, and does the pad run?"
-            if self._port.startswith("udp://"):
+            if is_udp:
                 why = "does the board run, and send to this machine and port?"
             self._report_down("silent", f"{self.where}: no data for {self._silence_s:g} s: {why}")
-        else:
-            from touchd.drivers.pad.arrived import why_no_frame
-
-            cause, why = why_no_frame(self._port, described, recent)
-            self._report_down(cause, f"{self.where}: {why}")
 
     def _report_down(self, cause: str, reason: str) -> None:
         """Report that no frames come, unless stopped: another reader may fill the queue by now."""

@@ -224,7 +224,7 @@ CONFIGURED = PadFormat(framing="text", rows=8, columns=8, skip=1, full_scale=102
 SET = "if firm presses do that, set a larger one in sensor.format"
 ABOVE = f"COM3: values above full_scale 1023 are cut to it; {SET}"
 MANY = "5% of the last frames were damaged on the way"
-TRY = "try a shorter cable and another USB port, no hub"
+TRY = "try a shorter cable and another USB port, no hub; does another program read it too (fuser)?"
 UDP = "udp://0.0.0.0:4000"
 
 

@@ -215,6 +215,23 @@ def test_a_mistake_in_one_of_several_pads_names_it(tmp_path: Path, text: str, me
         load(path)
 
 
+def test_two_names_of_one_device_are_refused_as_the_file_is_read(tmp_path: Path) -> None:
+    device, link = tmp_path / "ttyACM0", tmp_path / "touchd-pad"
+    device.touch()
+    link.symlink_to(device)
+    path = tmp_path / "touchd.yaml"
+    path.write_text(f"sensors: {{a: {{port: {device}}}, b: {{port: {link}}}}}")
+    with pytest.raises(
+        ConfigError, match=f"{link}, the same device as {device}, is the port of more than one"
+    ):
+        load(path)
+    path.write_text(
+        f"sensors: {{a: {{port: 'tcp://Pad:1'}}, b: {{port: 'tcp://pad:1'}}, c: {{port: {link}}}}}"
+    )
+    with pytest.raises(ConfigError, match="tcp://pad:1, the same device as tcp://Pad:1,"):
+        load(path)
+
+
 def test_a_command_for_one_pad_asks_which() -> None:
     settings = Settings(sensors={"head": PadSettings(port="a"), "arm": PadSettings(port="b")})
     assert only_pad(settings, "arm").sensor.port == "b"
