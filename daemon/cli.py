@@ -70,8 +70,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _discard_output()
         return 0
     except Exception as error:
-        # A compiled module that is interrupted while it is imported raises an error of its own.
-        if isinstance(error.__cause__, KeyboardInterrupt):
+        # A compiled module that is interrupted while it is imported raises an error of its own, and so does
+        # a lock that is interrupted while a thread waits for it.
+        before = error.__context__ if isinstance(error, RuntimeError) else error.__cause__
+        if isinstance(before, KeyboardInterrupt):
             return ended
         if "--debug" in given:
             raise

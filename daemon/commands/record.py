@@ -18,6 +18,7 @@ from touchd.drivers.numbers import within
 from touchd.drivers.recording import prepare
 from touchd.model.adapt.folder import trouble_with
 
+INCOMPLETE = 1
 MOST_ROUNDS = 100
 MOST_GESTURES = 50
 SHORTEST_S, LONGEST_S = 1.0, 60.0
@@ -71,7 +72,10 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Make the missing recordings, or label saved touches, until the person stops; returns 0."""
+    """Make the missing recordings, or label saved touches, until the person stops.
+
+    Returns 1 while recordings that were asked for are missing.
+    """
     options = parser().parse_args(arguments)
     console = Console(width=text_width(), highlight=False, markup=False)
     try:
@@ -80,14 +84,15 @@ def main(arguments: Sequence[str]) -> int:
         elif options.label:
             parser().error("--label goes with --from-journal")
         else:
-            _record(console, options)
+            return 0 if _record(console, options) else INCOMPLETE
     except (Stopped, KeyboardInterrupt):
         console.print("\nStopped. What was kept is safe; the same command continues from here.")
+        return 0 if options.from_journal else INCOMPLETE
     return 0
 
 
-def _record(console: Console, options: argparse.Namespace) -> None:
-    """Record the pad; raises Stopped."""
+def _record(console: Console, options: argparse.Namespace) -> bool:
+    """Record the pad; return whether all recordings are there; raises Stopped."""
     settings = settings_of(options).settings
     with PadReader(settings) as pad:
         prepare(options.folder)
@@ -95,6 +100,7 @@ def _record(console: Console, options: argparse.Namespace) -> None:
         setting = ask_setting(console, options)
         session = Session(options.folder, setting, options.gestures, options.rounds)
         Dialogue(console, pad, settings, session, terms).run()
+        return not session.missing()
 
 
 def _names(text: str) -> tuple[str, ...]:

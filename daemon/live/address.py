@@ -47,12 +47,12 @@ def require_library() -> None:
 
 def listen(settings: LiveSettings) -> socket.socket:
     """Return a socket that listens where these settings say; raises LiveError."""
-    family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
     takes_both = settings.host == "::" and socket.has_dualstack_ipv6()
     try:
-        listening = socket.create_server(
-            (settings.host, settings.port), family=family, dualstack_ipv6=takes_both
-        )
+        found = socket.getaddrinfo(settings.host, settings.port, type=socket.SOCK_STREAM)
+        # A name may have an IPv6 address alone, as localhost on some computers.
+        family, *_, address = min(found, key=lambda entry: entry[0] != socket.AF_INET)
+        listening = socket.create_server(address[:2], family=family, dualstack_ipv6=takes_both)
     except OSError as error:
         where = f"the live page cannot listen on {settings.host} port {settings.port}"
         raise LiveError(f"{where}: {_why(error, settings.port)}") from error

@@ -297,6 +297,21 @@ def test_the_quiet_time_does_not_depend_on_the_pads_rate() -> None:
     assert [span.stop - span.start for span in spans if span.gesture == "notouch"] == [2000, 2000]
 
 
+def test_a_signal_that_interrupts_a_lock_ends_a_command_quietly(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(_: object) -> int:
+        try:
+            raise KeyboardInterrupt
+        finally:
+            # What a condition does if the signal comes while it takes its lock again.
+            threading.Lock().release()
+
+    monkeypatch.setattr("touchd.daemon.commands.replay.main", interrupted)
+    assert cli.main(["replay"]) == 0
+    assert capsys.readouterr().err == ""
+
+
 def test_run_reads_what_replay_plays() -> None:
     with Program(*TOUCHD, "replay", GESTURES, "--gesture", "rub", "--speed", "8") as replay:
         port = replay.stdout.readline().strip()

@@ -12,7 +12,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from touchd.daemon import cli
 from touchd.daemon.config import ConfigError, LiveSettings
-from touchd.daemon.live.address import is_own_host, parse_address
+from touchd.daemon.live.address import is_own_host, listen, parse_address
 from touchd.daemon.live.page import FOLDER
 from touchd.daemon.live.server import HANDSHAKE_S, MOST_CONNECTIONS
 from touchd.daemon.live.viewers import MOST_VIEWERS
@@ -158,3 +158,15 @@ def test_a_port_in_use_is_reported_in_one_line(command: str, capfd: pytest.Captu
     said = capfd.readouterr().err.splitlines()
     assert len(said) == 1
     assert f"cannot listen on 127.0.0.1 port {port}: another program does" in said[0]
+
+
+def test_a_name_with_an_ipv6_address_alone_is_served(monkeypatch: pytest.MonkeyPatch) -> None:
+    six = (socket.AF_INET6, socket.SOCK_STREAM, 6, "", ("::1", 0, 0, 0))
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: [six])
+    with listen(LiveSettings(host="localhost", port=0)) as listening:
+        assert listening.getsockname()[0] == "::1"
+
+
+def test_a_name_with_both_addresses_is_served_at_ipv4() -> None:
+    with listen(LiveSettings(host="localhost", port=0)) as listening:
+        assert listening.getsockname()[0] == "127.0.0.1"
