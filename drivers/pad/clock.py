@@ -3,7 +3,8 @@
 A clock is taken as milliseconds until three windows of half a second show what it counts. If that agrees with
 arrival in milliseconds, microseconds or seconds, the clock is used in that unit. If it agrees with the pad's
 stated rate, it is used in milliseconds, for a recording may be played faster. Any other number is not used: a
-frame number, an index, a temperature. The unit changes only after ten seconds of evidence.
+frame number, an index, a temperature; after half a second if it stands still from the start. The unit changes
+only after ten seconds of evidence.
 
 A frame is on time if its clock is 1 to 250 ms after that of the last accepted one (modulo 2^32, so the wrap
 after 49.7 days needs no special case). A frame that repeats the last clock is a duplicate. Any other is held:
@@ -40,6 +41,8 @@ FIRST_WINDOWS, LATER_WINDOWS = 3, 20
 PAUSE_S = 0.4
 # Windows agree if their rates differ by no more than this factor; a stall or a flood makes them differ.
 ALIKE = 1.3
+# A clock stands still if this share of frames repeats the one before; a line may send each frame twice.
+STANDING_SHARE = 0.75
 NOT_USED = "; it is not used, and frames are dated by their arrival"
 
 # Below 256 ms: a flipped bit that the checksum cannot see moves the clock by at least that.
@@ -115,7 +118,9 @@ class FrameClock:
             return
         self._windows.append(window)
         self._window = _Window(stamp, host_s, stamp, host_s)
-        if len(self._windows) < (self._windows.maxlen or 0):
+        # Until it is known that a number stands still, all frames are refused as duplicates.
+        stands_still = not self._is_chosen and window.standing > STANDING_SHARE * window.frames
+        if len(self._windows) < (self._windows.maxlen or 0) and not stands_still:
             return
         unit_ms, note = self._chosen()
         if note is None:

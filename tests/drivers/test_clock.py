@@ -170,6 +170,22 @@ def test_a_number_that_is_not_a_clock_is_skipped(stamp: Callable[[float], float]
     assert len(frames) >= 54 * 4
 
 
+@pytest.mark.parametrize("rate_hz", [5.0, 15.0, 54.0])
+def test_a_constant_number_delays_no_frame_beyond_a_second(rate_hz: float) -> None:
+    clock = FrameClock(ProtocolCounts(), rate_hz)
+    delivered_s = [
+        reading.host_s for number in range(60) for reading in clock.judge(15.0, number / rate_hz, STILL)
+    ]
+    assert delivered_s[0] <= 1.0
+    assert "stands still" in clock.note
+
+
+def test_frames_sent_twice_keep_their_clock_from_the_start() -> None:
+    clock, frames = dated(lambda second: 1000 * (int(54 * second) // 2) // 54)
+    assert clock.note == ""
+    assert len(frames) == pytest.approx(27 * 6, abs=2)
+
+
 def test_a_frame_number_is_neither_a_clock_nor_a_fault() -> None:
     clock, frames = dated(lambda second: round(54 * second))
     assert clock.note == ""

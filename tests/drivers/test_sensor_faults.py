@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import serial
-from rigs.formats import FabricGrid, encode_csv_line, encode_fabric_grid
+from rigs.formats import CsvLines, FabricGrid, encode_csv_line, encode_fabric_grid
 from rigs.sensor_rig import (
     Encode,
     Switch,
@@ -54,6 +54,15 @@ def test_a_silent_pad_is_down_until_it_sends_again(caplog: pytest.LogCaptureFixt
         switch.encode = encode_fabric_grid
         assert_is_over(queue, caplog, "INFO", "WARNING", "INFO")
     assert caplog.records[-1].message.startswith(f"frames arrive from {port.path} again; ")
+
+
+def test_a_pad_with_a_constant_first_number_is_never_down() -> None:
+    def constant(counts: Counts, sensor_ms: int) -> bytes:
+        return encode_csv_line(counts, 15)
+
+    with FakePort(stream_of(), constant) as port, sensing(port.path, CsvLines(), silence_s=2.0) as queue:
+        assert next_state(queue).state == "up"
+        next_frames(queue, 30)
 
 
 def test_a_long_silent_port_is_reopened() -> None:
