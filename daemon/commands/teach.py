@@ -17,11 +17,12 @@ from touchd.daemon.commands.settings import SERVICE_FOLDER
 from touchd.daemon.config import ConfigError, Settings, load, only_pad
 from touchd.daemon.parts import load_models
 from touchd.daemon.recorder.capture import PadReader
-from touchd.daemon.recorder.dialogue import HOW, Dialogue, Terms
+from touchd.daemon.recorder.dialogue import HOW, HOW_ONCE, Dialogue, Terms
 from touchd.daemon.recorder.session import Session
 from touchd.daemon.recorder.who import Setting, ask_name, name
 from touchd.daemon.terminal.ask import Stopped, ask
 from touchd.daemon.terminal.width import text_width
+from touchd.daemon.words import name_of
 from touchd.drivers.errors import TouchdError, os_errors_as
 from touchd.drivers.installed import program_name
 from touchd.drivers.numbers import within
@@ -29,16 +30,19 @@ from touchd.drivers.recording import prepare
 from touchd.drivers.whole_file import whole_file
 
 ROUNDS = 2
-# With a trimmed second at each end and the countdown, fourteen recordings take 2.5 minutes.
+# With a trimmed second at each end and the countdown, fourteen recordings take 2.5 minutes; four touches made
+# once take half a minute.
 SECONDS = 6.0
+SINGLES = tuple(HOW_ONCE)
 COUNTDOWN_S = 2.0
 
 
 def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="touchd teach",
-        description="Records every gesture twice, adapts the shipped model to the recordings, prints how "
-        "often it was right before and after, and sets the new model. Repeat the command if interrupted.",
+        description="Records every gesture twice, and a single pat and stroke, adapts the shipped model to "
+        "the recordings, prints how often it was right before and after, and sets the new model. Repeat the "
+        "command if interrupted.",
     )
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder for the recordings and the model")
     add_settings(parser, "settings, in which the new model is set")
@@ -77,7 +81,8 @@ def main(arguments: Sequence[str]) -> int:
         _record(console, options, found.settings)
         console.print("\nLearning from them takes about a minute.")
         adapted = adapt_folder(options.folder, output, AdaptSettings())
-        for line in report_lines(adapted):
+        words = found.settings.vocabulary
+        for line in report_lines(adapted, {label: name_of(words, label) for label in adapted.labels}):
             console.print(line)
         console.print(f"\nThe new model is {output}")
         lengths = adapted.comparison.lengths
@@ -122,7 +127,7 @@ def _section(node: yaml.Node | None, name: str | None) -> yaml.MappingNode | Non
 def _record(console: Console, options: argparse.Namespace, settings: Settings) -> None:
     """Make the missing recordings; raises Stopped."""
     participant = options.participant or ask_name(console, "Who touches the pad?")
-    session = Session(options.folder, Setting(participant), tuple(HOW), options.rounds)
+    session = Session(options.folder, Setting(participant), tuple(HOW), options.rounds, SINGLES)
     if not session.missing():
         console.print(
             f"{options.folder} has all recordings of {participant}; another person needs another name"
@@ -130,10 +135,11 @@ def _record(console: Console, options: argparse.Namespace, settings: Settings) -
         return
     with PadReader(settings) as pad:
         console.print(
-            f"{len(session.takes())} recordings of {options.seconds:g} s follow one another: "
-            "hands off, then the gesture until the bar is full."
+            f"{len(session.takes())} recordings follow one another: hands off, then the gesture until the "
+            f"bar is full ({options.seconds:g} s), or once. q stops."
         )
-        terms = Terms(options.seconds, COUNTDOWN_S, "not stated", flowing=True)
+        names = {gesture: name_of(settings.vocabulary, gesture) for gesture in HOW}
+        terms = Terms(options.seconds, COUNTDOWN_S, "not stated", flowing=True, names=names)
         Dialogue(console, pad, settings, session, terms).run()
 
 

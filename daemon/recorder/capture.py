@@ -2,6 +2,7 @@
 
 import logging
 import time
+from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -24,6 +25,11 @@ RESTARTED_MS = 1000
 MOST_LOST_SHARE = 0.02
 LEAST_TOUCHED_SHARE = 0.5
 LEAST_RATE_HZ = 1.0 / MAX_GAP_S
+# A touch that ended is at most this old: the quiet that ends it comes on top of the time for a single one.
+HISTORY_FRAMES = 1000
+SINGLE_WITHIN_S, LONGEST_SINGLE_S = 8.0, 2.0
+# Rest before a single touch that is kept.
+LEAD_MS = 1000
 NO_FRAME = "no frames arrive: is the pad plugged in and running?"
 
 
@@ -42,6 +48,44 @@ class Capture:
         """Return the frames as a recording, on the pad's own clock."""
         counts = np.stack([frame.pressure for frame in self.frames])
         return Recording(*setting, gesture, counts, clock_ms(self.frames), "live")
+
+
+@dataclass(frozen=True, eq=False)
+class SingleCapture:
+    """A gesture made once. touch: first and last contact by the pad's clock, None if there was none."""
+
+    frames: tuple[Frame, ...]
+    touch: tuple[int, int] | None
+
+    @property
+    def length_s(self) -> float:
+        return 0.0 if self.touch is None else (self.touch[1] - self.touch[0]) % CLOCK_MODULUS / 1000
+
+    def recordings(self, setting: Setting, gesture: str) -> list[Recording]:
+        """Return the rest before, the touch, and the rest after, as the daemon saves a touch."""
+        if self.touch is None:
+            return []
+        since_ms = [(frame.sensor_ms - self.frames[0].sensor_ms) % CLOCK_MODULUS for frame in self.frames]
+        first_ms, last_ms = ((ms - self.frames[0].sensor_ms) % CLOCK_MODULUS for ms in self.touch)
+        first = bisect_left(since_ms, first_ms)
+        after = bisect_right(since_ms, last_ms)
+        start = bisect_left(since_ms, first_ms - LEAD_MS)
+        clocks = clock_ms(self.frames)
+        return [
+            Recording(
+                *setting,
+                name,
+                np.stack([frame.pressure for frame in self.frames[begin:stop]]),
+                clocks[begin:stop],
+                "live",
+            )
+            for name, begin, stop in (
+                (NO_TOUCH, start, first),
+                (gesture, first, after),
+                (NO_TOUCH, after, len(self.frames)),
+            )
+            if begin < stop
+        ]
 
 
 class PadReader:
@@ -112,12 +156,16 @@ class PadReader:
 
 
 class Contact:
-    """Tracks whether the pad is touched; the first frames must show it at rest."""
+    """Tracks whether the pad is touched; the first frames must show it at rest.
+
+    touch: first and last contact of the first touch that ended, by the pad's clock.
+    """
 
     def __init__(self, settings: Settings) -> None:
-        self._ring = Ring(1)
+        self._ring = Ring(HISTORY_FRAMES)
         self._tracker = TouchTracker(settings.touch)
         self._touched = False
+        self.touch: tuple[int, int] | None = None
 
     def update(self, frame: Frame) -> bool:
         """Process the next frame; return whether the pad is touched."""
@@ -125,9 +173,25 @@ class Contact:
             match self._tracker.update(laid):
                 case Onset():
                     self._touched = True
-                case Release():
+                case Release(first_index, last_index):
                     self._touched = False
+                    if self.touch is None:
+                        self.touch = self._clock_at(first_index), self._clock_at(last_index)
         return self._touched
+
+    def _clock_at(self, index: int) -> int:
+        (frame,) = self._ring.frames(index, index + 1)
+        return round(frame.sensor_ms) % CLOCK_MODULUS
+
+
+def complaints_about_single(capture: SingleCapture, troubles: list[str]) -> list[str]:
+    """Return reasons to repeat a gesture made once, one line each; none if it is usable."""
+    found = list(troubles)
+    if capture.touch is None:
+        found.append(f"no touch began and ended within {SINGLE_WITHIN_S:g} s")
+    elif capture.length_s > LONGEST_SINGLE_S:
+        found.append(f"that took {capture.length_s:.1f} s; once is enough")
+    return found
 
 
 def complaints(capture: Capture, gesture: str, troubles: list[str]) -> list[str]:

@@ -4,7 +4,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from importlib import metadata
 from typing import Literal, TypeAlias
@@ -19,13 +19,23 @@ from rich.text import Text
 from touchd.daemon.config import Settings
 from touchd.daemon.events import timestamp
 from touchd.daemon.kept.touch_store import description_of
-from touchd.daemon.recorder.capture import Capture, Contact, PadLost, PadReader, complaints
+from touchd.daemon.recorder.capture import (
+    SINGLE_WITHIN_S,
+    Capture,
+    Contact,
+    PadLost,
+    PadReader,
+    SingleCapture,
+    complaints,
+    complaints_about_single,
+)
 from touchd.daemon.recorder.session import Session, Take
-from touchd.daemon.terminal.ask import ask
+from touchd.daemon.terminal.ask import Stopped, ask
 from touchd.daemon.terminal.big_words import big
+from touchd.daemon.terminal.keys import listening
 from touchd.daemon.terminal.pad_picture import as_text, level_of, pad_picture
 from touchd.daemon.terminal.palette import palette_for
-from touchd.drivers.frame import COLUMNS, NO_TOUCH, ROWS, Counts
+from touchd.drivers.frame import COLUMNS, NO_TOUCH, ROWS, Counts, Frame
 from touchd.drivers.pad.pace import pace_of
 from touchd.drivers.recording import RecordingError, write_recordings
 
@@ -44,7 +54,10 @@ HOW = {
     "tickle": "tickle the pad with light, quick fingers",
 }
 
+HOW_ONCE = {"pat": "pat the pad once with a flat hand", "stroke": "stroke the pad once, one way"}
+
 HANDS_OFF = "hands off"
+QUIT = "q"
 REFRESH_HZ = 12
 PAD_SCALE = 2
 WIDTH = 56
@@ -62,13 +75,15 @@ class Terms:
     """Settings of all recordings of a session.
 
     seconds: length that is saved. countdown_s: rest before each recording. licence: what others may do.
-    flowing: ask only about recordings with a complaint.
+    flowing: ask only about recordings with a complaint. names: what gestures are called; by default as in
+    the files.
     """
 
     seconds: float
     countdown_s: float
     licence: str
     flowing: bool = False
+    names: Mapping[str, str] = field(default_factory=dict)
 
 
 class Dialogue:
@@ -85,20 +100,29 @@ class Dialogue:
         self._session = session
         self._terms = terms
         self._waits = True
+        self._must_quit = False
 
     def run(self) -> None:
         """Record what is missing; raises `Stopped` if the person stops."""
         takes, missing = self._session.takes(), self._session.missing()
         for place, take in enumerate(takes, 1):
             if take in missing:
-                how = HOW.get(take.gesture, f"{take.gesture}, again and again")
-                self._print(f"\n{place} of {len(takes)}: {take.gesture}", style="bold")
-                self._print(f"  {how}, until the bar is full")
+                name = self._name(take)
+                self._print(f"\n{place} of {len(takes)}: {name}", style="bold")
+                if take.is_single:
+                    self._print(f"  {HOW_ONCE.get(take.gesture, take.gesture)}, then leave it alone")
+                else:
+                    how = HOW.get(take.gesture, f"{take.gesture}, again and again")
+                    self._print(f"  {how}, until the bar is full")
                 self._make(take)
         there = sum(take.path.exists() for take in takes)
         self._print(f"\n{there} of {len(takes)} recordings are in {self._session.folder}", style="bold")
         if there < len(takes):
             self._print("Run the same command again to record the others.")
+
+    def _name(self, take: Take) -> str:
+        name = self._terms.names.get(take.gesture, take.gesture)
+        return f"{name}, once" if take.is_single else name
 
     def _make(self, take: Take) -> None:
         """Record until a take is saved or skipped."""
@@ -107,8 +131,10 @@ class Dialogue:
             if self._waits and self._ask("  Enter to begin, s to skip, q to stop: ", ("", "s")) == "s":
                 return
             self._waits = not self._terms.flowing
+            capture: Capture | SingleCapture
             try:
-                capture = self._capture(take)
+                with self._may_quit():
+                    capture = self._capture_once(take) if take.is_single else self._capture(take)
             except PadLost as lost:
                 self._print(f"  {lost}", style="yellow")
                 self._waits = True
@@ -117,12 +143,16 @@ class Dialogue:
             if choice == "keep":
                 self._keep(take, capture)
 
-    def _keep(self, take: Take, capture: Capture) -> None:
+    def _keep(self, take: Take, capture: Capture | SingleCapture) -> None:
         """Save a recording; if that fails, as on a full disk, ask to try again. Raises `Stopped`."""
-        recording = capture.recording(self._session.setting, take.gesture)
+        setting = self._session.setting
+        if isinstance(capture, SingleCapture):
+            recordings = capture.recordings(setting, take.gesture)
+        else:
+            recordings = [capture.recording(setting, take.gesture)]
         while True:
             try:
-                write_recordings(take.path, [recording], self._provenance(take, capture))
+                write_recordings(take.path, recordings, self._provenance(take, capture))
             except RecordingError as error:
                 self._print(f"  not kept yet: {error}", style="yellow")
                 if self._ask("  Enter to try again, s to skip it, q to stop: ", ("", "s")) == "s":
@@ -131,22 +161,66 @@ class Dialogue:
                 self._print(f"  kept {take.path.name}", style="green")
                 return
 
-    def _capture(self, take: Take) -> Capture:
-        """Count down while the pad rests, then record; raises PadLost."""
+    @contextmanager
+    def _may_quit(self) -> Iterator[None]:
+        """Let q end a recording, which is then not kept; raises `Stopped`."""
+        self._must_quit = False
+
+        def on_key(key: str) -> None:
+            self._must_quit |= key.lower() == QUIT
+
+        with listening(on_key):
+            yield
+
+    def _follow(self, seconds: float) -> Iterator[tuple[float, Frame]]:
+        """Yield (seconds since the first frame, frame); raises PadLost, and `Stopped` if the person quits."""
+        for elapsed_s, frame in self._pad.follow(seconds):
+            if self._must_quit:
+                raise Stopped
+            yield elapsed_s, frame
+
+    def _countdown(self, contact: Contact, show: Show) -> list[Frame]:
+        """Follow the pad at rest until the gesture is due; return its frames."""
+        frames = []
+        for elapsed_s, frame in self._follow(self._terms.countdown_s):
+            contact.update(frame)
+            show(HANDS_OFF, elapsed_s, self._terms.countdown_s, frame.pressure)
+            frames.append(frame)
+        # For people who look at their hand rather than the screen.
+        self._console.bell()
+        return frames
+
+    def _capture_once(self, take: Take) -> SingleCapture:
+        """Count down, then record until a touch has begun and ended; raises PadLost and `Stopped`."""
         if reason := self._pad.await_frame(ALIVE_WITHIN_S):
             raise PadLost(reason)
         contact = Contact(self._settings)
-        countdown_s = self._terms.countdown_s
+        with progress(self._console) as show:
+            frames = self._countdown(contact, show)
+            # One that was over before it was asked for.
+            contact.touch = None
+            for elapsed_s, frame in self._follow(SINGLE_WITHIN_S):
+                frames.append(frame)
+                contact.update(frame)
+                show(self._name(take), elapsed_s, SINGLE_WITHIN_S, frame.pressure)
+                if contact.touch is not None:
+                    break
+        self._console.bell()
+        return SingleCapture(tuple(frames), contact.touch)
+
+    def _capture(self, take: Take) -> Capture:
+        """Count down while the pad rests, then record; raises PadLost and `Stopped`."""
+        if reason := self._pad.await_frame(ALIVE_WITHIN_S):
+            raise PadLost(reason)
+        contact = Contact(self._settings)
         length_s = self._terms.seconds + 2 * EDGE_S
         frames, touched = [], 0
-        step = HANDS_OFF if take.gesture == NO_TOUCH else f"{take.gesture} now"
+        # A name of another language stands alone.
+        step = f"{take.gesture} now" if not self._terms.names else self._name(take)
+        step = HANDS_OFF if take.gesture == NO_TOUCH else step
         with progress(self._console) as show:
-            for elapsed_s, frame in self._pad.follow(countdown_s):
-                contact.update(frame)
-                show(HANDS_OFF, elapsed_s, countdown_s, frame.pressure)
-            # For people who look at their hand rather than the screen.
-            self._console.bell()
-            for elapsed_s, frame in self._pad.follow(length_s):
+            self._countdown(contact, show)
+            for elapsed_s, frame in self._follow(length_s):
                 is_touched = contact.update(frame)
                 kept_s = min(max(elapsed_s - EDGE_S, 0.0), self._terms.seconds)
                 show(step, kept_s, self._terms.seconds, frame.pressure)
@@ -156,20 +230,28 @@ class Dialogue:
         self._console.bell()
         return Capture(tuple(frames), touched / len(frames))
 
-    def _choose(self, capture: Capture, take: Take) -> Choice:
+    def _choose(self, capture: Capture | SingleCapture, take: Take) -> Choice:
         """Summarise a recording and ask what to do with it."""
         peak = max(int(frame.pressure.max()) for frame in capture.frames)
         pace = pace_of(capture.frames)
+        if isinstance(capture, SingleCapture):
+            touched = f"touched for {capture.length_s:.1f} s"
+            found = complaints_about_single(capture, self._pad.troubles)
+        else:
+            touched = f"touched {capture.touched_share:.0%} of the time"
+            found = complaints(capture, take.gesture, self._pad.troubles)
         self._print(
-            f"  {len(capture.frames)} frames, {pace.rate_hz:.1f} a second, peak {peak} counts, "
-            f"touched {capture.touched_share:.0%} of the time"
+            f"  {len(capture.frames)} frames, {pace.rate_hz:.1f} a second, peak {peak} counts, {touched}"
         )
-        found = complaints(capture, take.gesture, self._pad.troubles)
         if not found and self._terms.flowing:
             return "keep"
+        if isinstance(capture, SingleCapture) and capture.touch is None:
+            self._print(f"  {found[-1]}", style="yellow")
+            choices: Mapping[str, Choice] = {"": "redo", "s": "skip"}
+            return choices[self._ask("  Enter to do it again, s to skip, q to stop: ", choices)]
         if not found:
             question = "  Enter to keep it, r to do it again, s to skip, q to stop: "
-            choices: Mapping[str, Choice] = {"": "keep", "r": "redo", "s": "skip"}
+            choices = {"": "keep", "r": "redo", "s": "skip"}
         else:
             for complaint in found:
                 self._print(f"  {complaint}", style="yellow")
@@ -177,13 +259,14 @@ class Dialogue:
             choices = {"": "redo", "k": "keep", "s": "skip"}
         return choices[self._ask(question, choices)]
 
-    def _provenance(self, take: Take, capture: Capture) -> dict[str, str]:
+    def _provenance(self, take: Take, capture: Capture | SingleCapture) -> dict[str, str]:
+        part = f"the middle {self._terms.seconds:g} s of {self._terms.seconds + 2 * EDGE_S:g} s"
         return {
             "source": f"touchd record, touchd {metadata.version('touchd')}",
             "recorded": timestamp(time.time()),
             "sensor": description_of(self._settings.sensor),
             "rate": str(pace_of(capture.frames)),
-            "part": f"the middle {self._terms.seconds:g} s of {self._terms.seconds + 2 * EDGE_S:g} s",
+            "part": "one touch, with the rest around it" if take.is_single else part,
             "round": f"{take.number} of {self._session.rounds}",
             "licence": self._terms.licence,
         }

@@ -9,7 +9,7 @@ import tty
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
-POLL_S = 0.2
+POLL_S = 0.1
 
 
 @contextmanager
@@ -19,20 +19,22 @@ def listening(on_key: Callable[[str], None]) -> Iterator[None]:
     Without a terminal, or in the background, where changing the terminal would stop the program, it does
     nothing.
     """
-    fd = sys.stdin.fileno()
-    if not os.isatty(fd) or _is_in_background(fd):
+    if not sys.stdin.isatty() or _is_in_background(sys.stdin.fileno()):
         yield
         return
+    fd = sys.stdin.fileno()
     before = termios.tcgetattr(fd)
     ended = threading.Event()
     reader = threading.Thread(target=_read, args=(fd, on_key, ended), name="touchd-keys", daemon=True)
+    # Not raw: Ctrl-C still ends the program.
+    tty.setcbreak(fd)
+    reader.start()
     try:
-        # Not raw: Ctrl-C still ends the program.
-        tty.setcbreak(fd)
-        reader.start()
         yield
     finally:
         ended.set()
+        # Otherwise it could take a key that is meant for the next question.
+        reader.join()
         with suppress(termios.error, OSError):
             termios.tcsetattr(fd, termios.TCSADRAIN, before)
 
@@ -48,7 +50,7 @@ def _is_in_background(fd: int) -> bool:
 def _read(fd: int, on_key: Callable[[str], None], ended: threading.Event) -> None:
     with suppress(OSError):
         while not ended.is_set():
-            if not select.select([fd], [], [], POLL_S)[0]:
+            if not select.select([fd], [], [], POLL_S)[0] or ended.is_set():
                 continue
             data = os.read(fd, 64)
             if not data:

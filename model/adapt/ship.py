@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import onnx
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from touchd.drivers.errors import os_errors_as
 from touchd.drivers.frame import FRAME_RATE_HZ
@@ -63,7 +63,7 @@ def write(pretrained: Pretrained, adapted: Adapted, output: Path, settings: Adap
         data_sha256=data_hash(adapted.recordings),
         scores={"adapted": msgspec.to_builtins(adapted.comparison)},
     )
-    proto = _grafted(adapted, metadata)
+    proto = grafted(SHIPPED_MODEL, adapted.head, metadata)
     with (
         os_errors_as(OutputError, f"{output}: cannot be written"),
         whole_file(output, replace=False) as partial,
@@ -71,18 +71,18 @@ def write(pretrained: Pretrained, adapted: Adapted, output: Path, settings: Adap
         onnx.save(proto, partial)
 
 
-def _grafted(adapted: Adapted, metadata: ModelMetadata) -> onnx.ModelProto:
-    """Return a copy of the shipped file with the adapted head, temperatures and metadata."""
-    proto = onnx.load(SHIPPED_MODEL)
+def grafted(model: Path, head: nn.Sequential, metadata: ModelMetadata) -> onnx.ModelProto:
+    """Return a copy of a model file with an adapted head, and the metadata's temperatures."""
+    proto = onnx.load(model)
     temperatures = {int(length): value for length, value in metadata.temperatures.items()}
-    values = {f"network.dense.{name}": value for name, value in adapted.head.state_dict().items()}
+    values = {f"network.dense.{name}": value for name, value in head.state_dict().items()}
     values["temperatures"] = by_frames(temperatures)
     for tensor in proto.graph.initializer:
         value = values.pop(tensor.name.removeprefix("calibrated."), None)
         if value is not None:
             tensor.CopyFrom(onnx.numpy_helper.from_array(value.numpy(), tensor.name))
     if values:
-        raise RuntimeError(f"{SHIPPED_MODEL} has no {', '.join(values)}")
+        raise RuntimeError(f"{model} has no {', '.join(values)}")
     proto.graph.output[0].type.tensor_type.shape.dim[1].dim_value = len(metadata.labels)
     (entry,) = (entry for entry in proto.metadata_props if entry.key == METADATA_KEY)
     entry.value = msgspec.json.encode(metadata).decode()

@@ -1,12 +1,15 @@
 """A recording session on a terminal: questions, countdown, checks, repeats, files, resuming."""
 
 import gzip
+import io
+import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 from rigs.formats import encode_fabric_grid
 from rigs.made_pad import MadePad, nothing, palm
 from rigs.terminal import Terminal
@@ -15,6 +18,7 @@ from rigs.wait import WITHIN_S
 from touchd.daemon import cli
 from touchd.daemon.config import SensorSettings, Settings
 from touchd.daemon.recorder.capture import PadLost, PadReader
+from touchd.daemon.recorder.dialogue import Dialogue, Terms
 from touchd.daemon.recorder.session import Session
 from touchd.daemon.recorder.who import Setting
 from touchd.drivers.fakes.fake_port import FakePort
@@ -135,6 +139,53 @@ def test_a_session_resumes_after_a_crash(tmp_path: Path, record: list[str]) -> N
         terminal.process.kill()
         terminal.process.wait()
     assert list(tmp_path.iterdir()) == [kept]
+
+
+def test_q_ends_a_recording_which_is_not_kept(tmp_path: Path, record: list[str]) -> None:
+    with Terminal(*record, *ANNA, "--seconds", "60") as terminal:
+        terminal.until("Enter to begin")
+        terminal.answer("", "hands off, 1 s", "hands off, 5")
+        os.write(terminal._master, b"q")
+        terminal.until("the same command continues from here")
+        assert terminal.process.wait(WITHIN_S) == 0
+    assert list(tmp_path.iterdir()) == []
+
+
+class Patting(Hand):
+    """Encodes a hand that comes for 0.4 s every 4 s."""
+
+    def __call__(self, counts: Counts, sensor_ms: int) -> bytes:
+        self.presses = sensor_ms % 4000 < 400
+        return super().__call__(counts, sensor_ms)
+
+
+def test_a_gesture_made_once_is_saved_with_the_rest_around_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stream = Stream(np.zeros((5400, 8, 8), np.uint16), ideal_clock_ms(5400), ())
+    session = Session(tmp_path, Setting("anna"), (), 2, ("pat", "stroke"))
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n" * 40))
+    console = Console(file=io.StringIO())
+    with FakePort(stream, Patting(), speed=2.0, loop=True) as port:
+        settings = Settings(sensor=SensorSettings(port=port.path))
+        with PadReader(settings) as pad:
+            names = {"pat": "Tätscheln"}
+            Dialogue(console, pad, settings, session, Terms(1.5, 1.0, "", flowing=True, names=names)).run()
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        f"anna_none_none_{gesture}_once-{number}.csv.gz" for gesture in ("pat", "stroke") for number in (1, 2)
+    ]
+    assert session.missing() == []
+    assert isinstance(console.file, io.StringIO)
+    assert "1 of 4: Tätscheln, once" in console.file.getvalue()
+    for take in session.takes():
+        parts = read_recordings(take.path)
+        assert [part.gesture for part in parts] == ["notouch", take.gesture, "notouch"]
+        assert {part.participant for part in parts} == {"anna"}
+        before, touch, after = (part.counts.max(axis=(1, 2)) for part in parts)
+        assert len(before) <= 55
+        assert 15 <= len(touch) <= 30
+        assert len(after) >= 40
+        assert touch.max() > 40 > max(before.max(), after.max())
 
 
 def test_quitting_shows_how_to_resume(record: list[str]) -> None:
