@@ -18,7 +18,7 @@ from touchd.drivers.whole_file import PRIVATE_MODE, whole_file, without_waiting
 log = logging.getLogger(__name__)
 
 # More than one daemon ever needs; the oldest beyond are forgotten.
-MOST_TOPICS = 256
+MOST_TOPICS, MOST_BROKERS = 256, 16
 
 
 class Retained:
@@ -43,7 +43,9 @@ class Retained:
         self._write()
 
     def _write(self) -> None:
-        self._all[self._broker] = [*self.former, *self._topics][-MOST_TOPICS:]
+        own = [*self.former, *self._topics][-MOST_TOPICS:]
+        others = [(broker, topics) for broker, topics in self._all.items() if broker != self._broker]
+        self._all = dict([*others, (self._broker, own)][-MOST_BROKERS:])
         try:
             self._file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             with whole_file(self._file, mode=PRIVATE_MODE) as new:
