@@ -171,7 +171,9 @@ class MqttBridge(ConnectedBridge):
         topics = [self._state_topic, *self._former]
         if self._announcement_topic is not None:
             topics += [self._announcement_topic, f"{self._settings.discovery}/status"]
-        client.subscribe([(topic, 0) for topic in topics])
+        # Each by itself: a broker may take small packets alone.
+        for topic in topics:
+            client.subscribe(topic)
         for topic in self._former:
             client.clearing[client.publish(topic, b"", qos=1, retain=True).mid] = topic
         self._publish_retained(client)
@@ -202,11 +204,11 @@ class MqttBridge(ConnectedBridge):
         elif state in ("", STOPPED, LOST):
             self._faults.end(TWO_WRITERS)
             self._publish_state(client)
-        else:
-            self._faults.begin(
-                TWO_WRITERS,
-                f"another touchd publishes to {self._topic}, too; give each its own mqtt.topic",
-            )
+        elif self._faults.begin(
+            TWO_WRITERS, f"another touchd publishes to {self._topic}, too; give each its own mqtt.topic"
+        ):
+            # Once, so that the other one notices, too.
+            self._publish_state(client)
 
     def _on_publish(
         self, client: mqtt.Client, _data: Any, mid: int, code: ReasonCode, properties: Properties | None
