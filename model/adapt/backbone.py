@@ -18,7 +18,7 @@ from tqdm import tqdm
 from touchd.drivers.frame import NO_TOUCH
 from touchd.drivers.recording import Recording
 from touchd.model.adapt.augment import Frames, begin_from_rest, crop, vary
-from touchd.model.adapt.passing import InPassing, varied, when_answered
+from touchd.model.adapt.passing import WINDOW_FRAMES, InPassing
 from touchd.model.settings import LENGTHS, AugmentationSettings
 from touchd.model.tgc import TGC
 
@@ -28,6 +28,12 @@ BATCH = 64
 BAR = "{desc}: {n_fmt} of {total_fmt} |{bar}| {elapsed}"
 # A recording shorter than a crop is used from its start, at its own pace; its last frame is repeated.
 AS_IT_IS = {"published_framing": 0.0, "change_pace": 0.0, "onset": 0.0}
+# The tracker dates a touch up to three frames too early or two too late.
+EARLIEST_FRAMES, LATEST_FRAMES = 3, 2
+# The daemon answers an ended touch 13 frames after its last contact.
+AFTER_FRAMES = 13
+ANSWERED_FRAMES = (9, 20)
+PACE = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +83,7 @@ def crops(
     shown = tqdm(recordings, desc="preparing", bar_format=BAR, leave=False, disable=None)
     for i, recording in enumerate(shown):
         if isinstance(recording, InPassing):
-            touches, ends = varied(recording, each, len(LEARNT_LENGTHS), rng)
+            touches, ends = varied_touches(recording, each, len(LEARNT_LENGTHS), rng)
             values.append(backbone.at_own_lengths(vary(touches, settings, rng), ends))
             continue
         own = settings
@@ -149,3 +155,39 @@ def _filled(counts: Tensor, length: int) -> Tensor:
     """Return at least `length` frames, the last one repeated where there are fewer."""
     missing = max(0, length - len(counts))
     return torch.cat([counts, counts[-1:].expand(missing, -1, -1)]) if missing else counts
+
+
+def varied_touches(
+    recording: InPassing, each: int, answers: int, rng: torch.Generator
+) -> tuple[Tensor, Tensor]:
+    """Return (each, WINDOW_FRAMES, 8, 8) counts at random paces, and lengths (each, answers) to answer at."""
+    lead = torch.randint(-LATEST_FRAMES, EARLIEST_FRAMES + 1, (each,), generator=rng).float()
+    pace = 1.0 + PACE * (2.0 * torch.rand(each, generator=rng) - 1.0)
+    least, most = ANSWERED_FRAMES
+    wait = torch.randint(least, most + 1, (each, answers), generator=rng)
+    over = lead + (recording.over - recording.first) / pace
+    lengths = (over[:, None].ceil().long() + wait).clamp(1, WINDOW_FRAMES)
+    return _laid(recording, lead, pace), lengths
+
+
+def when_answered(recordings: Sequence[InPassing]) -> tuple[Tensor, Tensor]:
+    """Return (N, WINDOW_FRAMES, 8, 8) counts and the lengths (N, 1) after which the daemon answers."""
+    windows = [_laid(each, torch.tensor([float(EARLIEST_FRAMES)]), torch.ones(1)) for each in recordings]
+    lengths = [each.over - each.first + EARLIEST_FRAMES + AFTER_FRAMES for each in recordings]
+    return torch.cat(windows), torch.tensor(lengths)[:, None].clamp(1, WINDOW_FRAMES)
+
+
+def _laid(recording: InPassing, lead: Tensor, pace: Tensor) -> Tensor:
+    """Return (B, WINDOW_FRAMES, 8, 8) counts from `lead` (B,) frames before the touch on, at a pace (B,)."""
+    counts = torch.from_numpy(recording.counts.astype(np.float32))
+    ticks = torch.arange(WINDOW_FRAMES)
+    places = recording.first + (ticks - lead[:, None]) * pace[:, None]
+    # The rest goes on, to and fro, where the recording ends.
+    last = len(counts) - 1
+    span = max(1, last - recording.over)
+    beyond = (places - last).clamp_min(0.0)
+    folded = last - (span - ((beyond % (2 * span)) - span).abs())
+    places = torch.where(places > last, folded, places).clamp(0.0, last)
+    below = places.floor().clamp_max(max(0, last - 1)).long()
+    part = (places - below)[:, :, None, None]
+    return torch.lerp(counts[below], counts[(below + 1).clamp_max(last)], part)

@@ -8,8 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH
 from touchd.drivers.recording import Recording, on_grid, set_up
@@ -20,12 +18,6 @@ WINDOW_FRAMES = 144
 LEAST_FRAMES, LEAST_AFTER_FRAMES = 2, 9
 # Pieces of one file further apart do not belong together.
 CUT_MS = 1000
-# The tracker dates a touch up to three frames too early or two too late.
-EARLIEST_FRAMES, LATEST_FRAMES = 3, 2
-# The daemon answers an ended touch 13 frames after its last contact.
-AFTER_FRAMES = 13
-ANSWERED_FRAMES = (9, 20)
-PACE = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,37 +84,3 @@ def _in_passing(before: Recording | None, touch: Recording, after: Recording | N
         return []
     own = {name: getattr(laid, name) for name in Recording.__dataclass_fields__}
     return [InPassing(**own, first=first, over=over)]
-
-
-def varied(recording: InPassing, each: int, answers: int, rng: torch.Generator) -> tuple[Tensor, Tensor]:
-    """Return (each, WINDOW_FRAMES, 8, 8) counts at random paces, and lengths (each, answers) to answer at."""
-    lead = torch.randint(-LATEST_FRAMES, EARLIEST_FRAMES + 1, (each,), generator=rng).float()
-    pace = 1.0 + PACE * (2.0 * torch.rand(each, generator=rng) - 1.0)
-    least, most = ANSWERED_FRAMES
-    wait = torch.randint(least, most + 1, (each, answers), generator=rng)
-    over = lead + (recording.over - recording.first) / pace
-    lengths = (over[:, None].ceil().long() + wait).clamp(1, WINDOW_FRAMES)
-    return _window(recording, lead, pace), lengths
-
-
-def when_answered(recordings: Sequence[InPassing]) -> tuple[Tensor, Tensor]:
-    """Return (N, WINDOW_FRAMES, 8, 8) counts and the lengths (N, 1) after which the daemon answers."""
-    windows = [_window(each, torch.tensor([float(EARLIEST_FRAMES)]), torch.ones(1)) for each in recordings]
-    lengths = [each.over - each.first + EARLIEST_FRAMES + AFTER_FRAMES for each in recordings]
-    return torch.cat(windows), torch.tensor(lengths)[:, None].clamp(1, WINDOW_FRAMES)
-
-
-def _window(recording: InPassing, lead: Tensor, pace: Tensor) -> Tensor:
-    """Return (B, WINDOW_FRAMES, 8, 8) counts from `lead` (B,) frames before the touch on, at a pace (B,)."""
-    counts = torch.from_numpy(recording.counts.astype(np.float32))
-    ticks = torch.arange(WINDOW_FRAMES)
-    places = recording.first + (ticks - lead[:, None]) * pace[:, None]
-    # The rest goes on, to and fro, where the recording ends.
-    last = len(counts) - 1
-    span = max(1, last - recording.over)
-    beyond = (places - last).clamp_min(0.0)
-    folded = last - (span - ((beyond % (2 * span)) - span).abs())
-    places = torch.where(places > last, folded, places).clamp(0.0, last)
-    below = places.floor().clamp_max(max(0, last - 1)).long()
-    part = (places - below)[:, :, None, None]
-    return torch.lerp(counts[below], counts[(below + 1).clamp_max(last)], part)
