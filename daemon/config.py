@@ -141,10 +141,12 @@ class LiveSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     """Where the live page is served.
 
     host: 127.0.0.1 is this computer alone; 0.0.0.0 is everyone who can reach it. port: 0 is any that is free.
+    label: whether viewers on this computer may say what a touch was.
     """
 
     host: Annotated[str, msgspec.Meta(min_length=1)] = "127.0.0.1"
     port: Annotated[int, msgspec.Meta(ge=0, le=65535)] = 8054
+    label: bool = False
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

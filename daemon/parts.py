@@ -105,7 +105,7 @@ def make_parts(
         kept=keep_touches(settings),
         robot=link_to_robot(settings, emit),
         journal=open_journal(settings.journal),
-        live=open_live_page(settings, models),
+        live=open_live_page(settings, models, emit),
         bridges=bridges_to_others(settings, models, config),
     )
 
@@ -170,8 +170,10 @@ def link_to_robot(
     return RobotSink(link, Reactions(rules, settings.vocabulary, link.act, note).on_answer)
 
 
-def open_live_page(settings: Settings, models: Mapping[str, Classifier]) -> LiveServer | None:
-    """Return the server of the live page, if one is configured; raises LiveError."""
+def open_live_page(
+    settings: Settings, models: Mapping[str, Classifier], emit: Emit = lambda event: None
+) -> LiveServer | None:
+    """Return the server of the live page, if one is configured; raises LiveError. emit: receives labels."""
     if settings.live is None:
         return None
     from touchd.daemon.live.address import listen, require_library
@@ -181,7 +183,8 @@ def open_live_page(settings: Settings, models: Mapping[str, Classifier]) -> Live
     from touchd.daemon.live.server import LiveServer
 
     scenes = {name: Scene(pad, models[name]) for name, pad in settings.pads.items()}
-    return LiveServer(listen(settings.live), settings.live, scenes)
+    labeller = make_labeller(settings, models, emit) if settings.live.label else None
+    return LiveServer(listen(settings.live), settings.live, scenes, labeller=labeller)
 
 
 def make_labeller(settings: Settings, models: Mapping[str, Classifier], emit: Emit) -> Labeller:

@@ -11,6 +11,7 @@ from touchd.daemon.config import Settings
 from touchd.daemon.events import (
     UNCERTAIN,
     Event,
+    Label,
     Prediction,
     RobotAction,
     RobotEvent,
@@ -61,6 +62,7 @@ class PageState(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag
     touches: the last ones, oldest first; an ongoing touch comes last. reported: numbers of the touches that
     the robot was told about while it was up. rest: each taxel's reading before an ongoing touch. trace: of
     that touch, seconds since it began and counts above rest. touchable: whether viewers can touch the pad.
+    may_label: whether viewers on this computer may say what a touch was. said: what they said, by touch.
     """
 
     page: str
@@ -83,6 +85,8 @@ class PageState(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag
     rest: tuple[float, ...]
     trace: tuple[tuple[float, float], ...]
     touchable: bool
+    may_label: bool
+    said: dict[int, str]
 
 
 class Memory:
@@ -98,6 +102,7 @@ class Memory:
         self._robot: RobotEvent | None = None
         self._action: RobotAction | None = None
         self._touches: deque[ReportedTouch] = deque(maxlen=TOUCHES)
+        self._said: dict[int, str] = {}
         self._reported: deque[int] = deque(maxlen=TOUCHES)
         self._recent: deque[Frame] = deque(maxlen=RECENT_FRAMES)
         self._traced: list[Frame] = []
@@ -122,14 +127,21 @@ class Memory:
             case TouchBegan():
                 self._action = None
                 self._touches.append(ReportedTouch(event))
+                self._said = {touch: said for touch, said in self._said.items() if self.shows(touch)}
                 self._rest = self._rest_before(event.sensor_ms)
                 self._traced = list(self._recent.copy())
+            case Label() if self.shows(event.touch):
+                self._said[event.touch] = event.gesture
             case Prediction() | TouchEnded() if self._touches:
                 is_told = isinstance(event, Prediction) and event.told
                 if is_told and self._robot is not None and self._robot.state == "up":
                     self._reported.append(event.touch)
                 self._touches[-1].add(event)
                 del self._touches[-1].predictions[:-PREDICTIONS]
+
+    def shows(self, touch: int) -> bool:
+        """Whether a touch is among those that the page shows."""
+        return touch in [one.began.touch for one in self._touches]
 
     def _rest_before(self, began_ms: int) -> NDArray[np.float64] | None:
         """Return the mean of each taxel just before a touch, None without frames of that time."""
@@ -183,6 +195,8 @@ class Memory:
             rest=tuple(self._rest.round(1).ravel().tolist()) if self._rest is not None and trace else (),
             trace=trace,
             touchable=touchable,
+            may_label=settings.live is not None and settings.live.label,
+            said=self._said,
         )
 
 

@@ -10,9 +10,9 @@ import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Hashable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
-from typing import Protocol, TypeAlias
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 import msgspec
 from websockets.asyncio.server import ServerConnection, serve
@@ -28,6 +28,9 @@ from touchd.daemon.live.page import Page
 from touchd.daemon.live.viewers import Viewers
 from touchd.drivers.frame import DEFAULT_PAD, Frame
 from touchd.drivers.queue import DroppingQueue
+
+if TYPE_CHECKING:
+    from touchd.daemon.labels import Labeller
 
 log = logging.getLogger(__name__)
 
@@ -56,23 +59,24 @@ class Status(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="s
     pad: str
 
 
-class Touching(Protocol):
-    """Receives what viewers press on a simulated pad."""
+class Messages(Protocol):
+    """Receives what viewers send."""
 
     MOST_MESSAGE_BYTES: int
     BYTES_PER_S: float
 
-    def take(self, viewer: Hashable, message: str | bytes) -> str:
+    def take(self, viewer: ServerConnection, message: str | bytes) -> str:
         """Take a viewer's message; returns why it is refused, or ""."""
 
-    def leave(self, viewer: Hashable) -> None:
-        """Lift everything that a viewer presses."""
+    def leave(self, viewer: ServerConnection) -> None:
+        """Forget a viewer."""
 
 
 class LiveServer:
     """A sink that serves the page on a listening socket; taking events and frames never blocks.
 
-    touching: receives what viewers press on a simulated pad; without it, viewers can send nothing.
+    touching: receives what viewers press on a simulated pad. labeller: takes what viewers on this computer
+    say that a touch was. Without either, viewers can send nothing.
     """
 
     name = "live"
@@ -82,12 +86,18 @@ class LiveServer:
         listening: socket.socket,
         settings: LiveSettings,
         scenes: Scenes,
-        touching: Touching | None = None,
+        touching: Messages | None = None,
+        labeller: "Labeller | None" = None,
     ) -> None:
         self.listening = listening
         self.settings = settings
         self._pads = {name: Memory(scene) for name, scene in scenes.items()}
-        self._touching = touching
+        self._is_touchable = touching is not None
+        self._messages = touching
+        if labeller is not None:
+            from touchd.daemon.live.label import Labels
+
+            self._messages = Labels(labeller, self._knows)
         self._page = Page(own_names(settings))
         self._viewers = Viewers(self._state)
         self._items: DroppingQueue[Item] = DroppingQueue(CAPACITY, _may_drop)
@@ -155,9 +165,9 @@ class LiveServer:
         # Keep clients' connects and errors out of the daemon's log.
         logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
         most_bytes, door = MOST_HEARD_BYTES, Door(MOST_CONNECTIONS)
-        if self._touching is not None:
-            most_bytes = self._touching.MOST_MESSAGE_BYTES
-            door = Door(MOST_CONNECTIONS, self._touching.BYTES_PER_S)
+        if self._messages is not None:
+            most_bytes = self._messages.MOST_MESSAGE_BYTES
+            door = Door(MOST_CONNECTIONS, self._messages.BYTES_PER_S)
         server = await serve(
             self._watch,
             sock=self.listening,
@@ -188,20 +198,20 @@ class LiveServer:
             return
         try:
             with suppress(ConnectionClosed):
-                why = await self._follow_touches(connection)
+                why = await self._follow_messages(connection)
                 await connection.close(CloseCode.POLICY_VIOLATION, why)
         finally:
             self._viewers.discard(connection)
-            if self._touching is not None:
-                self._touching.leave(connection)
+            if self._messages is not None:
+                self._messages.leave(connection)
 
-    async def _follow_touches(self, connection: ServerConnection) -> str:
-        """Receive what a viewer presses, if viewers can press; return why its connection must be closed."""
+    async def _follow_messages(self, connection: ServerConnection) -> str:
+        """Receive what a viewer sends, if viewers may; return why its connection must be closed."""
         while True:
             message = await connection.recv()
-            if self._touching is None:
+            if self._messages is None:
                 return "nothing is read here"
-            if refused := self._touching.take(connection, message):
+            if refused := self._messages.take(connection, message):
                 return refused
 
     async def _tell_status(self) -> None:
@@ -247,8 +257,12 @@ class LiveServer:
 
     def _state(self) -> list[str]:
         pads = tuple(self._pads)
-        stamp, touchable = self._page.stamp, self._touching is not None
+        stamp, touchable = self._page.stamp, self._is_touchable
         return [encode_message(self._pads[pad].state(stamp, pad, pads, touchable)) for pad in pads]
+
+    def _knows(self, pad: str, touch: int) -> bool:
+        """Whether the page shows this touch."""
+        return pad in self._pads and self._pads[pad].shows(touch)
 
 
 def _may_drop(item: Item) -> bool:

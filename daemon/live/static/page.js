@@ -2,6 +2,7 @@
 
 import { Announcer } from "./announce.js";
 import { describePressure, HeatMap, showMarks, Trail } from "./heat.js";
+import { Labels } from "./label.js";
 import { TimeLine } from "./line.js";
 import { connect } from "./link.js";
 import * as show from "./show.js";
@@ -51,6 +52,7 @@ function draw() {
   if (hasEvent) {
     show.showAnswer(store);
     show.showTouches(store);
+    labels.show(store);
   }
   hasEvent = hasLive = false;
 }
@@ -107,7 +109,12 @@ function onMessage(message) {
     useNames(message);
     visitors.use(message);
     touch.use(message.touchable);
+    labels.use(message);
     document.body.toggleAttribute("data-pad-only", message.labels.length === 0);
+  }
+  if (message.type === "advice") {
+    labels.advise(message.text);
+    return;
   }
   for (const told of message.pad === undefined ? stores.values() : [stores.get(message.pad)]) told.apply(message);
   if (message.type === "prediction") announce(message);
@@ -121,6 +128,7 @@ const send = connect(onMessage, (why) => {
   link = why;
   watch();
 });
+const labels = new Labels($("labels"), $("advice"), send);
 const size = () => document.querySelector("[name=size]:checked").value;
 const touch = new Touch(document.querySelector(".square"), $("invitation"), size, send);
 showMarks($("counts"));

@@ -83,8 +83,9 @@ function remarks({ scene, reported, touch }, said, previous) {
   if (!answer) return [];
   const told = said.findLast((one) => one.told && one.gesture === answer.gesture);
   const whom = scene.robot_configured ? "the robot" : "a robot";
-  const telling = reported.has(touch.began.touch) ? `told ${whom} at` : `sure enough to tell ${whom} at`;
-  const remark = told ? `${telling} ${seconds(saidAt(told))}` : `not sure enough to tell ${whom}`;
+  const isReported = reported.has(touch.began.touch);
+  const telling = isReported ? `told ${whom} at` : `sure enough to tell ${whom} at`;
+  const remark = told && (isReported || answer.gesture !== "uncertain") ? `${telling} ${seconds(saidAt(told))}` : `not sure enough to tell ${whom}`;
   const parts = previous ? [make("b", "", `↻ before: ${nameOf(previous.gesture)}`), " · "] : [];
   const degraded = answer.degraded ? " · frames were lost" : "";
   return [...parts, remark, degraded];
@@ -136,21 +137,22 @@ export function fitTouches() {
 export function showTouches(store) {
   const ended = store.touches.filter((touch) => touch.ended !== null).reverse();
   $("touches").replaceChildren(
-    ...(ended.length ? ended.map((touch) => row(touch, store.scene)) : [make("li", "path", "none yet")]),
+    ...(ended.length ? ended.map((touch) => row(touch, store)) : [make("li", "path", "none yet")]),
   );
   fitTouches();
 }
 
-function row({ began, predictions, ended }, scene) {
+function row({ began, predictions, ended }, { scene, said }) {
   const length = seconds(Number((ended.frames / scene.frame_rate_hz).toFixed(1)));
   const path = make("span", "path");
   let before = null;
   for (const one of predictions) {
     if (one.gesture === before) continue;
-    const name = `${answerOf(one)}, ${seconds(one.elapsed_s)}`;
+    const name = `${answerOf(one)} · ${seconds(one.elapsed_s)}`;
     path.append(before === null ? name : make("em", "", ` ↻ ${name}`));
     before = one.gesture;
   }
+  if (said.has(began.touch)) path.append(make("em", "label", ` = ${nameOf(said.get(began.touch))}`));
   if (ended.reason !== "released") path.append(` · ${ENDINGS[ended.reason] ?? ended.reason}`);
   return make(
     "li",

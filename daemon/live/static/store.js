@@ -28,6 +28,8 @@ export class Store {
   live = null;
   /** Numbers of the touches about which the robot was told while it was up. */
   reported = new Set();
+  /** What people on touchd's computer said that touches were, by their numbers. */
+  said = new Map();
   /** Where the hand was in the last second: the sensor's clock, row and column, null where nothing pressed. */
   trail = [];
   /** Pressure above rest of each taxel, in counts. */
@@ -65,6 +67,7 @@ export class Store {
         this.scene = message;
         this.live = null;
         this.reported = new Set(message.reported);
+        this.said = new Map(Object.entries(message.said).map(([touch, gesture]) => [Number(touch), gesture]));
         const began = this.touch?.began;
         if (began?.touch !== before?.touch || began?.time !== before?.time) {
           this.trace = message.trace.length > 0 ? message.trace : this.#lateTrace();
@@ -97,6 +100,9 @@ export class Store {
         if (this.touch?.began.touch === message.touch) this.touch.predictions.push(message);
         if (message.told && this.robot?.state === "up") this.reported.add(message.touch);
         this.live = null;
+        break;
+      case "label":
+        this.said.set(message.touch, message.gesture);
         break;
       case "touch_ended":
         if (this.touch?.began.touch === message.touch) this.touch.ended = message;

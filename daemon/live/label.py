@@ -1,0 +1,85 @@
+"""Messages from viewers on this computer who say what a touch was (`live.label`)."""
+
+import ipaddress
+from collections.abc import Callable
+from typing import Annotated
+
+import msgspec
+from websockets.asyncio.server import ServerConnection, broadcast
+
+from touchd.daemon.events import Count
+from touchd.daemon.labels import LabelError, Labeller
+
+# A web server in front of the page hides where a viewer is; it adds one of these.
+FORWARDED = ("Forwarded", "X-Forwarded-For", "X-Real-IP", "Via")
+
+
+class _Said(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What a touch was."""
+
+    pad: Annotated[str, msgspec.Meta(max_length=100)]
+    touch: Count
+    gesture: Annotated[str, msgspec.Meta(max_length=100)]
+
+
+class Advice(msgspec.Struct, frozen=True, tag_field="type", tag="advice"):
+    """What to do with the labels so far, for the viewer who gave the last one."""
+
+    text: str
+
+
+_decode = msgspec.json.Decoder(_Said).decode
+
+
+class Labels:
+    """Takes labels from viewers on this computer. knows: whether the page shows a pad's touch."""
+
+    MOST_MESSAGE_BYTES = 512
+    # A label a second.
+    BYTES_PER_S = 128.0
+
+    def __init__(self, labeller: Labeller, knows: Callable[[str, int], bool]) -> None:
+        self._labeller = labeller
+        self._knows = knows
+
+    def take(self, viewer: ServerConnection, message: str | bytes) -> str:
+        """Emit the label in a viewer's message; returns why the message is refused, or ""."""
+        if not is_here(viewer):
+            return "only this computer may say what a touch was"
+        try:
+            said = _decode(message)
+        except (msgspec.DecodeError, UnicodeDecodeError):
+            return "not a label"
+        if not self._knows(said.pad, said.touch):
+            return "no such touch"
+        try:
+            advice = self._labeller.label(said.pad, said.touch, said.gesture)
+        except LabelError:
+            return "no such gesture"
+        if advice:
+            broadcast([viewer], msgspec.json.encode(Advice(advice)).decode())
+        return ""
+
+    def leave(self, viewer: ServerConnection) -> None:
+        """Do nothing: a viewer leaves nothing behind."""
+
+
+def is_here(viewer: ServerConnection) -> bool:
+    """Whether a viewer is on this computer, and asked for the page by a name of this computer alone."""
+    headers = viewer.request.headers if viewer.request else {}
+    host = headers.get("Host", "").rpartition(":")[0] or headers.get("Host", "")
+    is_named_here = host == "localhost" or _is_loopback(host.strip("[]"))
+    return (
+        _is_loopback(viewer.remote_address[0])
+        and is_named_here
+        and not any(name in headers for name in FORWARDED)
+    )
+
+
+def _is_loopback(address: str) -> bool:
+    try:
+        ip = ipaddress.ip_address(address)
+    except ValueError:
+        return False
+    mapped = ip.ipv4_mapped if isinstance(ip, ipaddress.IPv6Address) else None
+    return (mapped or ip).is_loopback

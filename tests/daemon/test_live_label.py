@@ -1,0 +1,163 @@
+"""The live page's buttons that say what a touch was: for viewers on this computer alone."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+from rigs.browser import show_in
+from rigs.made_events import PREDICTION, TIME
+from rigs.running_daemon import Daemon
+from rigs.wait import WITHIN_S, wait_for
+from selenium.webdriver import Chrome
+from selenium.webdriver.common.by import By
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request
+from websockets.sync.client import connect
+
+from touchd.daemon.config import LiveSettings, Settings
+from touchd.daemon.events import Event, Label, TouchBegan, TouchEnded
+from touchd.daemon.labels import ENOUGH
+from touchd.daemon.live.label import is_here
+from touchd.daemon.live.server import LiveServer
+from touchd.daemon.parts import load_model, open_live_page
+
+SAID = '{"pad":"pad","touch":1,"gesture":"stroke"}'
+
+
+def refusal(url: str, message: str, **options: Any) -> str:
+    """Return why a viewer that sends this is disconnected."""
+    with connect(url, **options) as viewer:
+        viewer.send(message)
+        try:
+            while True:
+                viewer.recv(timeout=WITHIN_S)
+        except ConnectionClosed as closed:
+            return str(closed)
+
+
+class Labelled:
+    """A page that takes labels, after one touch; events: those that the labels caused."""
+
+    def __init__(self, page: LiveServer, events: list[Event]) -> None:
+        self.page = page
+        self.events = events
+        self.port = page.listening.getsockname()[1]
+
+    def touch(self, number: int) -> None:
+        self.page.put(TouchBegan(touch=number, time=TIME, sensor_ms=0))
+        self.page.put(msgspec.structs.replace(PREDICTION, touch=number, gesture="pat"))
+        self.page.put(TouchEnded(touch=number, gesture="pat", frames=20, reason="released", time=TIME))
+
+    @property
+    def stream(self) -> str:
+        return f"ws://127.0.0.1:{self.port}/stream"
+
+
+@pytest.fixture
+def labelled() -> Iterator[Labelled]:
+    settings = Settings(live=LiveSettings(port=0, label=True))
+    events: list[Event] = []
+
+    def emit(event: Event) -> None:
+        events.append(event)
+        page.put(event)
+
+    page = open_live_page(settings, {"pad": load_model(settings)}, emit)
+    assert page is not None
+    page.start()
+    rig = Labelled(page, events)
+    rig.touch(1)
+    with connect(rig.stream) as viewer:
+        wait_for(lambda: json.loads(viewer.recv(timeout=WITHIN_S)).get("type") == "touch_ended")
+    yield rig
+    page.stop(1.0)
+
+
+def test_a_button_names_what_a_touch_was(chrome: Chrome, labelled: Labelled) -> None:
+    show_in(chrome, 1280, 800)
+    chrome.get(f"http://127.0.0.1:{labelled.port}/")
+    buttons = wait_for(lambda: chrome.find_elements(By.CSS_SELECTOR, "#labels button"))
+    next(button for button in buttons if button.text == "stroke").click()
+    pressed = "#labels button[aria-pressed=true]"
+    wait_for(lambda: [one.text for one in chrome.find_elements(By.CSS_SELECTOR, pressed)] == ["stroke"])
+    assert [(event.touch, event.gesture) for event in labelled.events if isinstance(event, Label)] == [
+        (1, "stroke")
+    ]
+    assert "= stroke" in chrome.find_element(By.ID, "touches").text
+    chrome.refresh()
+    wait_for(lambda: [one.text for one in chrome.find_elements(By.CSS_SELECTOR, pressed)] == ["stroke"])
+
+
+def test_after_ten_labels_the_page_says_how_to_learn(chrome: Chrome, labelled: Labelled) -> None:
+    chrome.get(f"http://127.0.0.1:{labelled.port}/")
+    for number in range(2, ENOUGH + 2):
+        labelled.touch(number)
+        shown = f"Last touch: {number}"
+        wait_for(lambda shown=shown: chrome.find_element(By.ID, "which").text.startswith(shown))
+        chrome.find_element(By.CSS_SELECTOR, "#labels button").click()
+    wait_for(lambda: "10 touches labelled" in chrome.find_element(By.ID, "advice").text)
+
+
+@pytest.mark.parametrize(
+    ("message", "why"),
+    [
+        ("x", "not a label"),
+        ("[]", "not a label"),
+        ('{"pad":"pad","touch":-1,"gesture":"pat"}', "not a label"),
+        ('{"pad":"pad","touch":1,"gesture":"pat","more":1}', "not a label"),
+        ('{"pad":"pad","touch":2,"gesture":"pat"}', "no such touch"),
+        ('{"pad":"other","touch":1,"gesture":"pat"}', "no such touch"),
+        ('{"pad":"pad","touch":1,"gesture":"purr"}', "no such gesture"),
+        ('{"size":"hand","at":[]}', "not a label"),
+    ],
+)
+def test_what_is_not_a_label_is_refused(labelled: Labelled, message: str, why: str) -> None:
+    assert why in refusal(labelled.stream, message)
+    assert labelled.events == []
+
+
+@pytest.mark.parametrize("header", ["Forwarded", "X-Forwarded-For", "Via"])
+def test_a_viewer_behind_a_web_server_may_not_label(labelled: Labelled, header: str) -> None:
+    assert "only this computer" in refusal(labelled.stream, SAID, additional_headers={header: "203.0.113.5"})
+    assert labelled.events == []
+
+
+def test_only_a_page_that_is_asked_for_it_takes_labels(tmp_path: Path) -> None:
+    with Daemon(tmp_path, live=LiveSettings(port=0)) as daemon:
+        url = f"{daemon.url.replace('http', 'ws')}/stream"
+        with connect(url) as viewer:
+            assert json.loads(viewer.recv(timeout=WITHIN_S))["may_label"] is False
+        assert "nothing is read here" in refusal(url, SAID)
+
+
+class Viewer:
+    """A viewer's connection, as far as the page looks at it."""
+
+    def __init__(self, address: str, host: str) -> None:
+        self.remote_address = (address, 40000)
+        self.request = Request("/stream", Headers({"Host": host}))
+
+
+@pytest.mark.parametrize(
+    ("address", "host", "is_ours"),
+    [
+        ("127.0.0.1", "127.0.0.1:8054", True),
+        ("127.0.0.1", "localhost:8054", True),
+        ("::1", "[::1]:8054", True),
+        ("::ffff:127.0.0.1", "localhost", True),
+        ("192.168.1.7", "192.168.1.2:8054", False),
+        ("192.168.1.7", "localhost:8054", False),
+        ("::ffff:192.168.1.7", "localhost:8054", False),
+        ("fe80::1", "[::1]:8054", False),
+        ("127.0.0.1", "robot.local:8054", False),
+        ("127.0.0.1", "192.168.1.2:8054", False),
+        ("127.0.0.1", "localhost.example.com:8054", False),
+    ],
+)
+def test_nobody_but_this_computer_may_label(address: str, host: str, is_ours: bool) -> None:
+    viewer: Any = Viewer(address, host)
+    assert is_here(viewer) == is_ours
