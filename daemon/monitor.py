@@ -33,7 +33,7 @@ log = logging.getLogger(__name__)
 # Interval at which lasting faults are noted again, by the frames' arrival.
 NOTE_S = 1.0
 # Faults that prevent detection, of light touches at least; others cost a part of the pad or some frames.
-DEGRADING = ("gaps", "restarts", "frozen", "noise")
+DEGRADING = ("gaps", "restarts", "frozen", "garbled", "noise")
 
 # Recognising a touch takes half a second of frames without a gap. If DEAF_S pass without it, that is a fault.
 WITHOUT_GAP_FRAMES = 27
@@ -68,6 +68,10 @@ LIVELY_TAXELS = 48
 NOISY_SHARE = 0.3
 SATURATED_COUNT = 1000
 SATURATED_TAXELS = 16
+# A frame is garbled if taxels that read more, or less, than in the frames before and after do so by this many
+# counts in total; smaller jumps of a taxel are noise. In 5 s of HAART or the robot, at most a fifth of frames
+# are; on a pad of less than 40 Hz a pat looks the same.
+JUMP_COUNTS, GARBLED_COUNTS, GARBLED_SHARE, GARBLED_HZ = 40, 100, 0.35, 40.0
 # Taxels of one broken wire do not fall still in the same frame; report once all have.
 SETTLE_S = 2.0
 
@@ -125,6 +129,9 @@ class PadMonitor:
     def _note(self, now_s: float) -> SensorState | None:
         """Log what has begun and ended; return the state if it is another one now."""
         found = self._gaps.faults | self._taxels.faults | self._rest.faults
+        if "loose wire" in found:
+            # It is the line that jumps.
+            found.pop("garbled", None)
         if self._line is not None:
             found |= self._line.faults
         if found.keys() == self._lasting.keys() and now_s - self._noted_s < NOTE_S:
@@ -295,6 +302,7 @@ class TaxelFaults:
         self._first_blocks = 0
         self._first_changed = np.zeros((ROWS, COLUMNS))
         self._saturation = 0.0
+        self._garbled = 0.0
         self.faults: dict[str, str] = {}
         self._changing_since_s: dict[str, float] = {}
 
@@ -321,6 +329,9 @@ class TaxelFaults:
             self._has_noise = int((self._first_changed > NOISY_SHARE).sum()) >= LIVELY_TAXELS
         is_saturated = (pressure[1:] >= SATURATED_COUNT).sum(axis=(1, 2)) >= SATURATED_TAXELS
         self._saturation += weight * (float(is_saturated.mean()) - self._saturation)
+        is_fast = passed_s <= BLOCK_FRAMES / GARBLED_HZ
+        garbled = float((_jumps(pressure) >= GARBLED_COUNTS).mean()) if is_fast else 0.0
+        self._garbled += weight * (garbled - self._garbled)
 
     def _current(self) -> dict[str, str]:
         """Return what looks faulty now."""
@@ -331,6 +342,10 @@ class TaxelFaults:
             found["frozen"] = "frames arrive but no value changes: the pad is off its board, or it hangs"
         elif self._has_noise and self._is_still.any():
             found |= _still_parts(self._is_still)
+        if self._garbled > (GARBLED_SHARE / 2 if "garbled" in self.faults else GARBLED_SHARE):
+            found["garbled"] = (
+                "values jump from frame to frame, as no hand makes them: another format, a bad line?"
+            )
         return found
 
     def _follow(self, found: Mapping[str, str]) -> None:
@@ -344,6 +359,20 @@ class TaxelFaults:
                 del self.faults[kind]
             else:
                 self.faults[kind] = found[kind]
+
+
+def _jumps(pressure: Counts) -> NDArray[np.int64]:
+    """Return by how many counts taxels jump in a single frame, for each of (T, 8, 8) frames with neighbours.
+
+    A jump of less than half of what the taxel reads before and after is noise under a load.
+    """
+    counts = pressure.astype(np.int64)
+    before, now, after = counts[:-2], counts[1:-1], counts[2:]
+    there, back = now - before, now - after
+    jump = np.where(there * back > 0, np.minimum(np.abs(there), np.abs(back)), 0)
+    is_jump = (jump >= JUMP_COUNTS) & (2 * jump >= np.maximum(before, after))
+    total: NDArray[np.int64] = jump.sum(axis=(1, 2), where=is_jump)
+    return total
 
 
 def _passed_s(frames: Sequence[Frame]) -> float:

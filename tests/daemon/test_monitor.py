@@ -108,6 +108,31 @@ def test_a_broken_pad_and_its_repair_are_reported_once(
     assert is_begin_and_end(logged(counts, caplog), begin)
 
 
+@pytest.mark.parametrize("cells", [1, 6, 64])
+def test_values_that_jump_from_frame_to_frame_degrade_the_pad(cells: int) -> None:
+    rng = np.random.default_rng(3)
+    counts = sound_pad(40)
+    for frame in counts[5 * RATE_HZ : 20 * RATE_HZ]:
+        if rng.random() < 2 / 3:
+            frame.reshape(-1)[rng.choice(64, cells, replace=False)] = rng.integers(0, 1024, cells)
+    monitor = PadMonitor()
+    told = [(frame.sensor_ms / 1000, monitor.on_frame(frame, restarted=False)) for frame in frames_of(counts)]
+    (begun_s, begun), (ended_s, ended) = [(second, state) for second, state in told if state is not None]
+    assert (begun.state, begun.cause, ended.state) == ("degraded", "garbled", "up")
+    assert 6 < begun_s < 12
+    assert 20 < ended_s < 28
+
+
+@pytest.mark.parametrize("taps_hz", [4.0, 8.0])
+@pytest.mark.parametrize("rate_hz", [12.0, 25.0, 54.0, 100.0])
+def test_a_quick_hand_does_not_garble_a_pad(rate_hz: float, taps_hz: float) -> None:
+    second = np.arange(round(20 * rate_hz)) / rate_hz
+    counts = MadePad(5).counts(np.zeros((len(second), 8, 8), np.float32))
+    counts[:, 2:5, 2:5] += ((second * taps_hz % 1 < 0.4) * 300).astype(np.uint16)[:, None, None]
+    clock_ms = np.rint(1000 * second).astype(int).tolist()
+    assert not [what for _, what, _ in faults_in(counts, clock_ms) if "jump" in what]
+
+
 def test_a_heavy_still_hand_is_not_a_fault() -> None:
     counts = sound_pad(20)
     counts[5 * RATE_HZ : 15 * RATE_HZ, 1:5, 1:5] += 600
