@@ -212,8 +212,8 @@ class _Press:
         firmer = 1.0 - np.exp(-self._frames * FRAME_S / DWELL_S)
         moving = float(shape.light + (shape.firm - shape.light) * firmer)
         if pointer.pressure is not None:
-            # Half of a device's range is as firm as a hand that has moved for long.
-            return 2.0 * pointer.pressure * shape.firm
+            # Taken for depth; half of a device's range is as firm as a hand that has moved for long.
+            return (2.0 * pointer.pressure) ** 2 * shape.firm
         if self._speed:
             return moving * (1.0 + PULL_SHARE * self._pull() * shape.pulls)
         if self._still_s < PAUSE_S:

@@ -230,6 +230,19 @@ def test_a_pointer_reaches_the_fake_pads_port(fake_pad: FakePad) -> None:
     assert fake_pad.pressed().max() < 15
 
 
+def test_the_page_of_a_pad_alone_is_filled_with_it(fake_pad: FakePad) -> None:
+    chrome = fake_pad.chrome
+    wait_for(lambda: chrome.find_element(By.CSS_SELECTOR, "#vital-pad dd").text == "up")
+    square = chrome.find_element(By.CSS_SELECTOR, ".square").rect
+    assert square["height"] > 0.7 * 800
+    assert abs(square["x"] + square["width"] / 2 - 640) < 10
+    assert chrome.find_element(By.ID, "tries").is_displayed()
+    for width, height in ((390, 844), (844, 390), (1280, 800)):
+        show_in(chrome, width, height)
+        wait_for(lambda width=width: chrome.execute_script("return innerWidth") == width)
+        assert chrome.execute_script("return document.documentElement.scrollWidth") <= width
+
+
 def test_fingers_press_where_each_touches(fake_pad: FakePad) -> None:
     fake_pad.fingers("touchStart", (0.19, 0.19), (0.81, 0.81))
     pressed = fake_pad.pressed()
