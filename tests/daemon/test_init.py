@@ -223,6 +223,19 @@ def test_a_silent_robot_is_written_with_its_likeliest_address(
     assert f"trying tcp://{host}:9559 ...\ntrying tcps://{host}:9503 ...\n" in capsys.readouterr().err
 
 
+def test_the_robot_is_asked_for_until_it_is_an_address() -> None:
+    with Robot() as robot, Terminal("init", "--port", "none") as terminal:
+        terminal.until("The robot's name or address")
+        terminal.answer("nao local", "is not a robot's name or address, such as nao.local")
+        terminal.until("The robot's name or address")
+        terminal.answer(robot.url.removeprefix("tcp://"), f"trying {robot.url} ...")
+        assert robot.url in terminal.until(" doctor -c")
+    found = load(FILE).robot
+    assert found is not None
+    assert found.url == robot.url
+
+
+@pytest.mark.slow
 def test_the_robot_is_asked_for_tried_and_used(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(Path("state").absolute()))
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
