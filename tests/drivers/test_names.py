@@ -1,0 +1,86 @@
+"""A port's name in a configuration stays with the board, or with its socket, and says why."""
+
+from pathlib import Path
+
+import pytest
+
+from touchd.drivers.pad.names import LastingName, lasting_name
+
+
+class Machine:
+    """Folders as in /dev/serial and /sys, with boards on USB sockets."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        for folder in ("dev/by-id", "dev/by-path", "sys/class/tty"):
+            (root / folder).mkdir(parents=True)
+
+    def plug(self, tty: str, socket: str, serial: str, kind: str = "2341 0042", interface: int = 0) -> str:
+        """Plug in a board; return its device. udev's name by id is the same for boards that look the same."""
+        device = self.root / "dev" / tty
+        device.touch()
+        board = self.root / "sys/devices/usb" / socket
+        (board / f"{socket}:1.{interface}/tty/{tty}").mkdir(parents=True)
+        for name, text in zip(("idVendor", "idProduct"), kind.split(), strict=True):
+            (board / name).write_text(f"{text}\n")
+        if serial:
+            (board / "serial").write_text(f"{serial}\n")
+        entry = self.root / "sys/class/tty" / tty
+        entry.mkdir()
+        (entry / "device").symlink_to(board / f"{socket}:1.{interface}")
+        by_id = self.root / f"dev/by-id/usb-{kind.replace(' ', '_')}_{serial}-if0{interface}"
+        by_id.unlink(missing_ok=True)
+        by_id.symlink_to(device)
+        (self.root / f"dev/by-path/pci-usb-{socket}-{interface}").symlink_to(device)
+        return str(device)
+
+    def name(self, port: str) -> LastingName:
+        dev = self.root / "dev"
+        return lasting_name(port, dev / "by-id", dev / "by-path", self.root / "sys/class/tty")
+
+
+@pytest.fixture
+def machine(tmp_path: Path) -> Machine:
+    return Machine(tmp_path)
+
+
+def test_a_board_with_a_serial_number_is_named_by_it(machine: Machine) -> None:
+    first, second = machine.plug("ttyACM0", "1-1", "A17"), machine.plug("ttyACM1", "1-2", "B4")
+    for device, number in ((first, "A17"), (second, "B4")):
+        name = machine.name(device)
+        assert (Path(name.port).name, "serial number" in name.why) == (f"usb-2341_0042_{number}-if00", True)
+
+
+@pytest.mark.parametrize("serial", ["", "0001"], ids=["without a number", "with the same number"])
+def test_boards_that_look_the_same_are_named_by_their_socket(machine: Machine, serial: str) -> None:
+    devices = [machine.plug(f"ttyUSB{n}", f"1-{n}", serial, "1a86 7523") for n in range(2)]
+    names = [machine.name(device) for device in devices]
+    assert [Path(name.port).name for name in names] == ["pci-usb-1-0-0", "pci-usb-1-1-0"]
+    assert all(name.why.startswith("it stays with this socket; ") for name in names)
+
+
+def test_the_ports_of_one_board_are_told_apart_by_its_number(machine: Machine) -> None:
+    machine.plug("ttyACM0", "1-1", "A17")
+    (board := machine.root / "sys/devices/usb/1-1").joinpath("1-1:1.2/tty/ttyACM1").mkdir(parents=True)
+    device = machine.root / "dev/ttyACM1"
+    device.touch()
+    (machine.root / "sys/class/tty/ttyACM1").mkdir()
+    (machine.root / "sys/class/tty/ttyACM1/device").symlink_to(board / "1-1:1.2")
+    (machine.root / "dev/by-id/usb-2341_0042_A17-if02").symlink_to(device)
+    assert Path(machine.name(str(device)).port).name == "usb-2341_0042_A17-if02"
+
+
+def test_the_udev_rules_name_is_kept_unless_two_boards_claim_it(machine: Machine) -> None:
+    link = machine.root / "dev/touchd-pad"
+    link.symlink_to(machine.plug("ttyACM0", "1-1", "A17"))
+    assert machine.name(str(link)).port == str(link)
+    machine.plug("ttyACM1", "1-2", "B4")
+    assert Path(machine.name(str(link)).port).name == "usb-2341_0042_A17-if00"
+
+
+def test_a_port_without_another_name_keeps_its_own(machine: Machine, tmp_path: Path) -> None:
+    uart, chosen = tmp_path / "dev/ttyAMA0", tmp_path / "dev/pad-left"
+    uart.touch()
+    chosen.symlink_to(machine.plug("ttyACM0", "1-1", "A17"))
+    for port in (str(uart), str(chosen), "tcp://pad:4000", "/dev/touchd-none"):
+        assert machine.name(port).port == port
