@@ -40,7 +40,7 @@ PACE = 0.2
 class CropFeatures:
     """Summaries of varied crops: values (N, crops, 4, features), at each of LEARNT_LENGTHS.
 
-    Those of a touch in passing are at four lengths after its end instead.
+    Those of a touch in passing that is over by then are after its end.
     within: (N, 4) bool, whether the recording is that long. gestures: (N,) names.
     """
 
@@ -83,7 +83,7 @@ def crops(
     shown = tqdm(recordings, desc="preparing", bar_format=BAR, leave=False, disable=None)
     for i, recording in enumerate(shown):
         if isinstance(recording, InPassing):
-            touches, ends = varied_touches(recording, each, len(LEARNT_LENGTHS), rng)
+            touches, ends = varied_touches(recording, each, rng)
             values.append(backbone.at_own_lengths(vary(touches, settings, rng), ends))
             continue
         own = settings
@@ -157,17 +157,17 @@ def _filled(counts: Tensor, length: int) -> Tensor:
     return torch.cat([counts, counts[-1:].expand(missing, -1, -1)]) if missing else counts
 
 
-def varied_touches(
-    recording: InPassing, each: int, answers: int, rng: torch.Generator
-) -> tuple[Tensor, Tensor]:
-    """Return (each, WINDOW_FRAMES, 8, 8) counts at random paces, and lengths (each, answers) to answer at."""
+def varied_touches(recording: InPassing, each: int, rng: torch.Generator) -> tuple[Tensor, Tensor]:
+    """Return (each, WINDOW_FRAMES, 8, 8) counts at random paces, and lengths (each, 4) to answer at."""
     lead = torch.randint(-LATEST_FRAMES, EARLIEST_FRAMES + 1, (each,), generator=rng).float()
     pace = 1.0 + PACE * (2.0 * torch.rand(each, generator=rng) - 1.0)
     least, most = ANSWERED_FRAMES
-    wait = torch.randint(least, most + 1, (each, answers), generator=rng)
+    wait = torch.randint(least, most + 1, (each, len(LEARNT_LENGTHS)), generator=rng)
     over = lead + (recording.over - recording.first) / pace
-    lengths = (over[:, None].ceil().long() + wait).clamp(1, WINDOW_FRAMES)
-    return _laid(recording, lead, pace), lengths
+    ends = (over[:, None].ceil().long() + wait).clamp(1, WINDOW_FRAMES)
+    # At the usual lengths while the touch still goes on, else after its end.
+    usual = torch.tensor(LEARNT_LENGTHS).expand(each, -1)
+    return _laid(recording, lead, pace), torch.where(usual <= over[:, None], usual, ends)
 
 
 def when_answered(recordings: Sequence[InPassing]) -> tuple[Tensor, Tensor]:
