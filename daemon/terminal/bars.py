@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 from rich.segment import Segment
 
-from touchd.daemon.terminal.pad_picture import TextLine
+from touchd.daemon.terminal.pad_picture import DrawnLine
 from touchd.daemon.terminal.palette import Palette
 
 EIGHTHS = " ▏▎▍▌▋▊▉█"
@@ -17,7 +17,7 @@ def bars(
     stands: str,
     size: tuple[int, int],
     palette: Palette,
-) -> list[TextLine]:
+) -> list[DrawnLine]:
     """Return one bar for each gesture, only the likeliest where (width, height) has no room for all.
 
     names: display names, in order. shares: probabilities, empty for empty bars. stands: the answer now.

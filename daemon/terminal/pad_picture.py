@@ -16,7 +16,7 @@ from touchd.drivers.frame import COLUMNS
 LIGHT_COUNTS = 4.0
 FIRM_COUNTS = 250.0
 
-TextLine = list[Segment]
+DrawnLine = list[Segment]
 
 
 def level_of(pressure: NDArray[np.float64], firm: float = FIRM_COUNTS) -> NDArray[np.float64]:
@@ -26,7 +26,7 @@ def level_of(pressure: NDArray[np.float64], firm: float = FIRM_COUNTS) -> NDArra
     return clipped
 
 
-def pad_picture(levels: NDArray[np.float64], scale: int, palette: Palette) -> list[TextLine]:
+def pad_picture(levels: NDArray[np.float64], scale: int, palette: Palette) -> list[DrawnLine]:
     """Return (8, 8) levels as 4 * scale lines of 8 * scale characters."""
     weights = _weights(scale)
     pixels = np.clip(weights @ levels @ weights.T, 0.0, 1.0)
@@ -36,18 +36,18 @@ def pad_picture(levels: NDArray[np.float64], scale: int, palette: Palette) -> li
     return [_in_halves(upper, lower, palette) for upper, lower in zip(shades[::2], shades[1::2], strict=True)]
 
 
-def as_text(lines: Sequence[TextLine]) -> Text:
+def as_text(lines: Sequence[DrawnLine]) -> Text:
     """Return lines as one text, to be placed beside others."""
     return Text("\n").join(Text.assemble(*((part.text, part.style or "") for part in line)) for line in lines)
 
 
-def _in_halves(upper: NDArray[np.int_], lower: NDArray[np.int_], palette: Palette) -> TextLine:
+def _in_halves(upper: NDArray[np.int_], lower: NDArray[np.int_], palette: Palette) -> DrawnLine:
     heat = palette.heat
     runs = groupby(zip(upper.tolist(), lower.tolist(), strict=True))
     return [Segment("▀" * len(list(run)), halves(heat[a], heat[b])) for (a, b), run in runs]
 
 
-def _in_characters(row: NDArray[np.float64]) -> TextLine:
+def _in_characters(row: NDArray[np.float64]) -> DrawnLine:
     at = np.minimum((row * len(CHARACTERS)).astype(int), len(CHARACTERS) - 1)
     return [Segment("".join(CHARACTERS[i] for i in at.tolist()))]
 

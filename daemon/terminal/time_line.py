@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from rich.segment import Segment
 from rich.style import Style
 
-from touchd.daemon.terminal.pad_picture import TextLine
+from touchd.daemon.terminal.pad_picture import DrawnLine
 from touchd.daemon.terminal.palette import Palette
 
 SHORTEST_S = 4.0
@@ -35,7 +35,7 @@ def time_line(
     flags: Sequence[Flag],
     size: tuple[int, int],
     palette: Palette,
-) -> list[TextLine]:
+) -> list[DrawnLine]:
     """Return the time line in (width, height) characters; the last line labels the marks.
 
     trace: (seconds since the touch began, sum of counts).
@@ -99,7 +99,7 @@ def _draw_flags(cells: Cells, flags: Sequence[Flag], end_s: float, palette: Pale
         cells[row][first:last] = [*cell, ("▐", pole)] if is_left else [("▌", pole), *cell]
 
 
-def _labels(marks_s: Sequence[float], end_s: float, width: int, palette: Palette) -> TextLine:
+def _labels(marks_s: Sequence[float], end_s: float, width: int, palette: Palette) -> DrawnLine:
     line = [" "] * width
     # The last label first: where there is room for one alone, it names the end.
     for mark_s in (marks_s[-1], *marks_s[:-1]):

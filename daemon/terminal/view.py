@@ -32,7 +32,7 @@ from touchd.daemon.log import LogGate
 from touchd.daemon.terminal.bars import bars
 from touchd.daemon.terminal.big_words import big
 from touchd.daemon.terminal.describe import describe
-from touchd.daemon.terminal.pad_picture import TextLine, level_of, pad_picture
+from touchd.daemon.terminal.pad_picture import DrawnLine, level_of, pad_picture
 from touchd.daemon.terminal.palette import palette_for
 from touchd.daemon.terminal.time_line import Flag, time_line
 from touchd.daemon.words import Vocabulary, name_of
@@ -225,14 +225,14 @@ class View:
                 yield Segment.line()
             yield from line
 
-    def _draw(self, width: int, height: int) -> list[TextLine]:
+    def _draw(self, width: int, height: int) -> list[DrawnLine]:
         keys = [self._keys_line()] if self.labeller is not None and height > LEAST_ROWS else []
         body = height - 3 - len(keys)
         card_height = len(self._card) + 1 if self._card and body - len(self._card) >= HIGH - 16 else 0
         scale = min((width * 9 // 20) // COLUMNS, (body - 1 - card_height) // 4, LARGEST_SCALE)
         with_pad = width >= NARROWEST and height >= LOWEST and scale >= 2
         margin = Segment(" ", self._palette.paper)
-        left: list[TextLine] = [[margin]] * body
+        left: list[DrawnLine] = [[margin]] * body
         right_width = width - 2
         if with_pad:
             pad_width = COLUMNS * scale
@@ -243,7 +243,7 @@ class View:
         lines = [[*one, *other] for one, other in zip(left, right, strict=True)]
         return [self._header(width), *lines, *keys, self._robot_line(), self._note_line()]
 
-    def _fit(self, lines: list[TextLine], width: int, height: int) -> list[TextLine]:
+    def _fit(self, lines: list[DrawnLine], width: int, height: int) -> list[DrawnLine]:
         """Return lines cropped or padded to a width and a height."""
         return Segment.set_shape(lines[:height], width, height, self._palette.paper)
 
@@ -251,9 +251,9 @@ class View:
         touch = self._touches[-1] if self._touches else None
         return touch if touch is not None and touch.ended is None else None
 
-    def _header(self, width: int) -> TextLine:
+    def _header(self, width: int) -> DrawnLine:
         palette = self._palette
-        vitals: TextLine = []
+        vitals: DrawnLine = []
         for name, state in self._states.items():
             style = {"up": palette.accent, "awaited": palette.muted}.get(state, palette.bad)
             vitals += [
@@ -261,13 +261,13 @@ class View:
                 Segment(f"{name} {state}", palette.muted),
             ]
         taken = sum(segment.cell_length for segment in vitals) + 1
-        title: TextLine = [
+        title: DrawnLine = [
             Segment(" touchd", palette.ink + Style(bold=True)),
             Segment(f"  {self._title}", palette.muted),
         ]
         return [*Segment.adjust_line_length(title, max(width - taken, 0), palette.paper), *vitals]
 
-    def _left(self, scale: int, width: int, height: int) -> list[TextLine]:
+    def _left(self, scale: int, width: int, height: int) -> list[DrawnLine]:
         palette = self._palette
         lines = pad_picture(level_of(self._pressure), scale, palette)
         if len(lines) < height:
@@ -281,7 +281,7 @@ class View:
                 lines.append(self._last_touch(touch))
         return lines
 
-    def _scale_line(self, width: int) -> TextLine:
+    def _scale_line(self, width: int) -> DrawnLine:
         palette = self._palette
         light, firm = "light", "firm"
         room = width - len(f"{light}  {firm}")
@@ -291,7 +291,7 @@ class View:
         ramp = [Segment("▄", palette.paper + Style(color=shade)) for shade in shades]
         return [Segment(f"{light} ", palette.muted), *ramp, Segment(f" {firm}", palette.muted)]
 
-    def _last_touch(self, touch: ShownTouch) -> TextLine:
+    def _last_touch(self, touch: ShownTouch) -> DrawnLine:
         palette = self._palette
         changes = list(dict.fromkeys(said.gesture for said in touch.predictions))
         name = self._name(touch.ended.gesture) if touch.ended else ""
@@ -306,13 +306,13 @@ class View:
             line.append(Segment(f" = {self._name(touch.label)}", palette.ink))
         return line
 
-    def _right(self, width: int, height: int) -> list[TextLine]:
+    def _right(self, width: int, height: int) -> list[DrawnLine]:
         palette = self._palette
         touch = self._touches[-1] if self._touches else None
         is_touched = self._going_on() is not None
         is_high = height >= HIGH
         room_for_bars = min(max(len(self._labels), FEWEST_BARS), max(height - 12, 3))
-        lines: list[TextLine] = [[Segment(self._which(touch), palette.muted)]]
+        lines: list[DrawnLine] = [[Segment(self._which(touch), palette.muted)]]
         word, style = self._answer(touch)
         letters = big(word, width, is_high) if height >= LOW else [word]
         lines += [[Segment(line, style + Style(bold=True))] for line in letters]
@@ -356,7 +356,7 @@ class View:
             return word, palette.muted
         return word, palette.changed if self._before(touch, len(touch.predictions) - 1) else palette.accent
 
-    def _remarks(self, touch: ShownTouch | None) -> list[TextLine]:
+    def _remarks(self, touch: ShownTouch | None) -> list[DrawnLine]:
         palette = self._palette
         if touch is None or not touch.predictions:
             return [[], []]
@@ -367,7 +367,7 @@ class View:
         if answer.gesture == UNCERTAIN:
             # The confidence is the likeliest gesture's.
             sure = [Segment(after, palette.ink)]
-        remark: TextLine = []
+        remark: DrawnLine = []
         if before := self._before(touch, len(touch.predictions) - 1):
             remark.append(Segment(f"↻ was {before} · ", palette.changed))
         told = [said for said in touch.predictions if said.told and said.gesture == answer.gesture]
@@ -392,7 +392,7 @@ class View:
         earlier = [one.gesture for one in touch.predictions[:at] if one.gesture != said.gesture]
         return self._name(earlier[-1]) if said.changed and earlier else ""
 
-    def _robot_line(self) -> TextLine:
+    def _robot_line(self) -> DrawnLine:
         palette = self._palette
         if not self._said_by_robot:
             return []
@@ -401,7 +401,7 @@ class View:
             Segment(self._said_by_robot, palette.robot + Style(bold=True)),
         ]
 
-    def _keys_line(self) -> TextLine:
+    def _keys_line(self) -> DrawnLine:
         """Return which key says what the touch on the screen was."""
         palette = self._palette
         if self.labeller is None or not self._touches:
@@ -413,8 +413,8 @@ class View:
             line += [Segment(key, style + Style(bold=True)), Segment(f" {self._name(gesture)}  ", style)]
         return line
 
-    def _note_line(self) -> TextLine:
-        line: TextLine = [Segment(f" {self._doing} ", self._palette.ink)] if self._doing else []
+    def _note_line(self) -> DrawnLine:
+        line: DrawnLine = [Segment(f" {self._doing} ", self._palette.ink)] if self._doing else []
         if self._notes:
             text, is_bad = self._notes[-1]
             line.append(Segment(f" {text}", self._palette.bad if is_bad else self._palette.faint))
