@@ -1,0 +1,148 @@
+"""Hands that change their gesture without leaving the pad: `python -m touchd.model.studies changes`.
+
+Four seconds of one gesture, then four of another, of one person under one condition; then rest. Networks
+never saw the person.
+"""
+
+import random
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from touchd.daemon.events import UNCERTAIN, Event, Prediction, epoch_s
+from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH, Counts
+from touchd.drivers.recording import Recording
+from touchd.model.classifier import SHIPPED_MODEL, Classifier
+from touchd.model.studies.folders import study_parser
+from touchd.model.studies.play import frames_of, play
+from touchd.model.studies.sessions.plan import together
+from touchd.model.training import haart, second_study
+from touchd.model.training.weights import left_out_split
+
+REST_FRAMES = 108
+EACH_FRAMES = round(4 * FRAME_RATE_HZ)
+CHANGES_S = (REST_FRAMES + EACH_FRAMES) / FRAME_RATE_HZ
+
+
+class ChangeScore(msgspec.Struct, frozen=True, kw_only=True):
+    """Percent of pairs, unless stated otherwise.
+
+    both: both gestures were told, in order. last: the last one told was the second. third: a gesture that is
+    neither was told. after_s: mean seconds from the change until the second gesture was told. n: pairs.
+    """
+
+    both: float
+    last: float
+    third: float
+    after_s: float
+    n: int
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Counts (T, 8, 8): rest, the first gesture, the second, rest."""
+
+    first: str
+    second: str
+    counts: Counts
+
+
+@dataclass(frozen=True)
+class Fate:
+    """What was told of a pair: gestures, and seconds after the change."""
+
+    pair: Pair
+    told: tuple[tuple[str, float], ...]
+
+    @property
+    def second_after_s(self) -> float | None:
+        """Seconds from the change until the second gesture was told, after the first; None if it was not."""
+        first = next((i for i, (name, _) in enumerate(self.told) if name == self.pair.first), None)
+        if first is None:
+            return None
+        later = [after_s for name, after_s in self.told[first:] if name == self.pair.second]
+        return later[0] if later else None
+
+
+def pairs(recordings: Sequence[Recording]) -> Iterator[Pair]:
+    """Yield each touching recording of a condition followed by another gesture of that condition."""
+    rng = random.Random(7)
+    for _, by_gesture in together(recordings):
+        rest = by_gesture[NO_TOUCH][0]
+        touches = [(name, each) for name in sorted(by_gesture) for each in by_gesture[name]]
+        touches = [(name, each) for name, each in touches if name != NO_TOUCH and len(each) > EACH_FRAMES]
+        for name, counts in touches:
+            others = [(other, each) for other, each in touches if other != name]
+            if not others:
+                continue
+            other, following = rng.choice(others)
+            parts = (rest[:REST_FRAMES], counts[:EACH_FRAMES], following[-EACH_FRAMES:], rest[-REST_FRAMES:])
+            yield Pair(name, other, np.concatenate(parts).astype(np.uint16))
+
+
+def judge(pair: Pair, events: Sequence[Event]) -> Fate:
+    """Return what was told of a pair."""
+    told = [event for event in events if isinstance(event, Prediction) and event.told]
+    named = [(event.gesture, epoch_s(event.time) - CHANGES_S) for event in told if event.gesture != UNCERTAIN]
+    return Fate(pair, tuple(named))
+
+
+def score(fates: Sequence[Fate]) -> ChangeScore:
+    """Return the figures of these pairs together."""
+    after_s = [fate.second_after_s for fate in fates]
+    known_s = [each for each in after_s if each is not None]
+
+    def percent(some: int) -> float:
+        return round(100.0 * some / max(1, len(fates)), 1)
+
+    return ChangeScore(
+        both=percent(len(known_s)),
+        last=percent(sum(fate.told[-1:] != () and fate.told[-1][0] == fate.pair.second for fate in fates)),
+        third=percent(
+            sum(
+                any(name not in (fate.pair.first, fate.pair.second) for name, _ in fate.told)
+                for fate in fates
+            )
+        ),
+        after_s=round(float(np.mean(known_s)), 2) if known_s else 0.0,
+        n=len(fates),
+    )
+
+
+def measure(recordings: Sequence[Recording], model: Classifier) -> list[Fate]:
+    """Play every pair."""
+    return [judge(pair, play(frames_of(pair.counts), model, flush=True)) for pair in pairs(recordings)]
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Print the scores of people held out, or with --test of HAART's test people; returns 0."""
+    parser = study_parser("changes", "Plays hands that change their gesture.", "haart", "second-study")
+    parser.add_argument(
+        "--weights", type=Path, default=SHIPPED_MODEL.parent, help="folder of the model files"
+    )
+    parser.add_argument("--test", action="store_true", help="HAART's test people instead: final figures only")
+    chosen = parser.parse_args(arguments)
+    if chosen.test:
+        people = haart.realigned(haart.read_test(chosen.haart))
+        fates = {"HAART test": measure(people, Classifier.load(chosen.weights / SHIPPED_MODEL.name))}
+    else:
+        recordings: Mapping[str, Sequence[Recording]] = {
+            "HAART held out": haart.realigned(haart.read_training(chosen.haart)),
+            "second study": second_study.scored(second_study.read(chosen.second_study)),
+        }
+        fates = {
+            study: [
+                fate for model, own in left_out_split(chosen.weights, each) for fate in measure(own, model)
+            ]
+            for study, each in recordings.items()
+        }
+    table = Table("people", *ChangeScore.__struct_fields__)
+    for name, own in fates.items():
+        table.add_row(name, *(f"{value:g}" for value in msgspec.structs.astuple(score(own))))
+    Console(width=110).print(table)
+    return 0
