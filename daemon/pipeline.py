@@ -42,8 +42,8 @@ from touchd.model.classifier import Classifier, ModelState, as_known
 
 STAGES: tuple[Stage, Stage, Stage] = ("early", "revised", "final")
 # After the final answer the network is asked about the last three quarters of a second alone, three times a
-# second. The mean of two such windows shows whether the gesture has changed. With three windows and log odds of
-# 6.5, a change is told a third of a second later, and 7 of 100 changes fewer are.
+# second. The mean of two such windows shows whether the gesture has changed. With three windows and log odds
+# of 6.5, a change is told a third of a second later, and 7 in 100 changes fewer are told.
 ONGOING_STRIDE_FRAMES = 18
 ONGOING_FRAMES = 40
 ONGOING_WINDOWS = 2
