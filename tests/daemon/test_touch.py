@@ -564,3 +564,23 @@ def test_a_loose_wire_is_forgotten_with_the_sensor(pad: TrackedPad) -> None:
     pad.feel(loose(6.0))
     pad.tracker.forget("sensor")
     assert pad.tracker.loose_lines == ()
+
+
+def sees_what_varies(window: NDArray[np.float32]) -> float:
+    """A network that takes a pad whose mean varied for a touch."""
+    return 0.02 if np.ptp(window.mean(axis=(1, 2))) > 2.0 else 0.9
+
+
+def test_a_light_tap_of_the_whole_hand_is_a_touch_once_it_has_gone() -> None:
+    pad = TrackedPad(p_no_touch=sees_what_varies)
+    pad.feel(3.0)
+    began = pad.index
+    tap = np.full((6, 8, 8), 4.0, np.float32)
+    onset, release = pad.touched(tap, 2.0)
+    assert abs(onset.first_index - began) <= 2
+    assert abs(release.last_index - (began + 5)) <= 2
+
+
+def test_a_wobble_that_the_network_takes_for_none_is_no_touch() -> None:
+    pad = TrackedPad(p_no_touch=lambda window: 0.9)
+    assert pad.feel(3.0, np.full((6, 8, 8), 4.0, np.float32), 2.0) == []
