@@ -87,7 +87,9 @@ class MqttBridge(ConnectedBridge):
         self._client: _Client | None = None
         self._tls = _tls(settings.ca_file) if settings.tls else None
         self._password()
-        super().__init__("mqtt", [pad], settings.pressure_hz, f"{settings.host}:{settings.port}")
+        # With the topic, as each pad has a connection of its own.
+        where = f"{settings.host}:{settings.port} ({self._topic})"
+        super().__init__("mqtt", [pad], settings.pressure_hz, where)
 
     def hold(self) -> str:
         client = _Client(self._client_id, self._version)

@@ -43,7 +43,9 @@ class RosbridgeBridge(ConnectedBridge):
         self._prefix = f"{settings.namespace}/{pad}"
         self._connection: ClientConnection | None = None
         self._allowance = Allowance(FIRST_BYTES, REFUSAL_BYTES)
-        super().__init__("rosbridge", [pad], settings.pressure_hz, settings.shown_url)
+        # With the topic, as each pad has a connection of its own.
+        where = f"{settings.shown_url} ({self._prefix})"
+        super().__init__("rosbridge", [pad], settings.pressure_hz, where)
 
     def open(self) -> None:
         # The bridge logs why a connection ended; the library's own lines would show the URL's token.
