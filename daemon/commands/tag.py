@@ -20,6 +20,7 @@ from touchd.daemon.tags import (
     in_words,
     peer_of,
 )
+from touchd.drivers.errors import os_errors_as
 
 NAMES = Path("/proc/net/unix")
 NAME = re.compile(re.escape(ADDRESS.replace("\0", "@").format(pid="")) + r"(\d+)$", re.MULTILINE)
@@ -46,7 +47,8 @@ def main(arguments: Sequence[str]) -> int:
     options = parser().parse_args(arguments)
     # Report a mistake in a tag before a missing daemon.
     changed({}, options.tags)
-    running = sorted({int(pid) for pid in NAME.findall(NAMES.read_text())})
+    with os_errors_as(TagError, f"{NAMES}: cannot be read", "give the tags to `touchd run --tag`"):
+        running = sorted({int(pid) for pid in NAME.findall(NAMES.read_text())})
     if options.pid is not None:
         running = [pid for pid in running if pid == options.pid]
     replies = {pid: reply for pid in running if (reply := _request(pid, [])) is not None}

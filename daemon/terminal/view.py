@@ -226,7 +226,7 @@ class View:
             yield from line
 
     def _draw(self, width: int, height: int) -> list[DrawnLine]:
-        keys = [self._keys_line()] if self.labeller is not None and height > LEAST_ROWS else []
+        keys = self._keys_lines(width) if height >= LOWEST else []
         body = height - 3 - len(keys)
         card_height = len(self._card) + 1 if self._card and body - len(self._card) >= HIGH - 16 else 0
         scale = min((width * 9 // 20) // COLUMNS, (body - 1 - card_height) // 4, LARGEST_SCALE)
@@ -401,17 +401,21 @@ class View:
             Segment(self._said_by_robot, palette.robot + Style(bold=True)),
         ]
 
-    def _keys_line(self) -> DrawnLine:
-        """Return which key says what the touch on the screen was."""
+    def _keys_lines(self, width: int) -> list[DrawnLine]:
+        """Return which key says what the touch on the screen was; blank lines while there is no touch."""
         palette = self._palette
-        if self.labeller is None or not self._touches:
+        if self.labeller is None:
             return []
-        line = [Segment(" It was: ", palette.muted)]
-        label = self._touches[-1].label
+        touch = self._touches[-1] if self._touches else None
+        lines: list[DrawnLine] = [[Segment(" It was: ", palette.muted)]]
         for key, gesture in keys_of(self.labeller.gestures[self._shown_pad]).items():
-            style = palette.accent if gesture == label else palette.ink
-            line += [Segment(key, style + Style(bold=True)), Segment(f" {self._name(gesture)}  ", style)]
-        return line
+            style = palette.accent if touch and gesture == touch.label else palette.ink
+            entry = [Segment(key, style + Style(bold=True)), Segment(f" {self._name(gesture)} ", style)]
+            # A line ends with a blank that may be cut off.
+            if Segment.get_line_length([*lines[-1], *entry]) > width + 1:
+                lines.append([Segment(" ", palette.muted)])
+            lines[-1] += [*entry, Segment(" ", style)]
+        return lines if touch else [[] for _ in lines]
 
     def _note_line(self) -> DrawnLine:
         line: DrawnLine = [Segment(f" {self._doing} ", self._palette.ink)] if self._doing else []

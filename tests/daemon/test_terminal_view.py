@@ -23,9 +23,10 @@ from rigs.made_events import PREDICTION
 from rigs.wait import WITHIN_S
 
 from touchd.daemon.events import Prediction, RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
+from touchd.daemon.labels import Labeller, keys_of
 from touchd.daemon.terminal.big_words import big
 from touchd.daemon.terminal.view import View
-from touchd.daemon.words import Language, vocabulary
+from touchd.daemon.words import Language, name_of, vocabulary
 
 SIZES = [(10, 5), (1, 1), (60, 24), (80, 24), (100, 30), (120, 40), (200, 60), (40, 16), (30, 8)]
 MARKS = (54, 81, 144)
@@ -167,6 +168,24 @@ def test_gestures_have_the_configured_names() -> None:
     assert "↻ Streicheln 81% ✓" in shown
     assert "Kitzeln" in shown
     assert "Last touches" in shown
+
+
+@pytest.mark.parametrize("language", ["en", "de"])
+@pytest.mark.parametrize("size", [(80, 24), (60, 18), (120, 40)])
+def test_every_key_that_labels_a_touch_is_shown(size: tuple[int, int], language: Language) -> None:
+    view, console = view_of(*size, language=language)
+    gestures = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
+    view.labeller = Labeller(view.put, {"pad": gestures}, {})
+    view.on_key("1")
+    assert len(screen(view, console)) == size[1]
+    touch(view)
+    view.on_key("4")
+    shown = screen(view, console)
+    assert len(shown) == size[1]
+    keys = " ".join(shown)
+    for key, gesture in keys_of(gestures).items():
+        assert f"{key} {name_of(vocabulary(language, {}), gesture)} " in keys
+    assert "touch 7 was: " in shown[-1]
 
 
 def test_resizing_and_ending_leave_the_terminal_clean() -> None:
