@@ -1,0 +1,88 @@
+"""What a pad sends, before anybody told its rows and columns: numbers a frame, and what they look like."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from touchd.drivers.pad.binary import frame_bytes
+from touchd.drivers.pad.format import LONGEST_SIDE, PRESETS, SHORTEST_SIDE, PadFormat
+from touchd.drivers.pad.protocol import parser_of
+from touchd.drivers.search import binary, text
+from touchd.drivers.search.neighbours import counting
+
+Grid = tuple[int, int]
+# A preset fits if it reads this share of what came; the proof asks for more.
+FITS = 0.9
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What a pad sends.
+
+    frame: how large a frame is, in words. rate_hz: frames a second. grid: the rows and columns that the frames
+    show; None if they do not. likely: those that may be right, and why.
+    """
+
+    frame: str
+    rate_hz: float
+    grid: Grid | None
+    likely: tuple[Grid, str] | None
+
+
+def survey(data: bytes, lines: Sequence[text.TextLine] | None, seconds: float) -> Survey | None:
+    """Look at what arrived within some seconds; None if it has no frames."""
+    if lines is None:
+        return _of_bytes(data, seconds)
+    frames = next(iter(text.printed(lines)), None)
+    if frames is None:
+        return None
+    count, height, width = frames.numbers.shape
+    cells = int(frames.are_cells.sum()) * height
+    if height == 1:
+        cells = int((~counting(frames.numbers[:, 0])).sum())
+    frame = f"{height * width} numbers a frame"
+    columns = cells // height
+    if height >= SHORTEST_SIDE and SHORTEST_SIDE <= columns <= LONGEST_SIDE:
+        return Survey(frame, count / seconds, (height, columns), ((height, columns), "as its lines show"))
+    return _shown(frame, count / seconds, data, [cells])
+
+
+def _of_bytes(data: bytes, seconds: float) -> Survey | None:
+    frames = binary.frames_in(data)
+    if frames is None:
+        return None
+    count, length = frames.data.shape
+    sizes = [(length - around) // size for around in range(1, binary.MOST_AROUND) for size in (1, 2, 4)]
+    return _shown(f"{length} bytes a frame", count / seconds, data, [cells for cells in sizes if cells > 15])
+
+
+def _shown(frame: str, rate_hz: float, data: bytes, cells: Sequence[int]) -> Survey:
+    """Return a survey with the grid of the preset that reads the data, or the squarest grid that fits."""
+    preset = next((name for name, each in PRESETS.items() if not each.poll and _reads(each, data)), None)
+    if preset:
+        grid = PRESETS[preset].rows, PRESETS[preset].columns
+        return Survey(frame, rate_hz, grid, (grid, f"as {preset}"))
+    squarest = min(
+        (each for count in cells for each in _grids(count)), key=lambda g: g[1] / g[0], default=None
+    )
+    return Survey(frame, rate_hz, None, squarest and (squarest, "the squarest"))
+
+
+def _reads(preset: PadFormat, data: bytes) -> bool:
+    """Whether the parser of a preset reads nearly all of the data."""
+    parser = parser_of(preset)
+    parser.feed(data, 0.0)
+    counts = parser.counts
+    frames = counts.frames + counts.duplicates + counts.bad_time
+    if preset.framing == "binary":
+        return frames * frame_bytes(preset) > FITS * len(data)
+    return frames >= text.LEAST_FRAMES and frames > FITS * (frames + counts.bad_framing)
+
+
+def _grids(cells: int) -> Iterator[Grid]:
+    """Yield the grids that this many cells form, with no more rows than columns."""
+    for rows in range(SHORTEST_SIDE, math.isqrt(cells) + 1):
+        if cells % rows == 0 and cells // rows <= LONGEST_SIDE:
+            yield rows, cells // rows
