@@ -13,11 +13,12 @@ from touchd.daemon.commands.one_pad import add_settings, settings_of
 from touchd.daemon.commands.settings import parsed
 from touchd.daemon.doctor.check import Check, Verdict
 from touchd.daemon.doctor.examine import examine
-from touchd.daemon.doctor.hand import can_ask
+from touchd.daemon.doctor.hand import add_grid, can_ask
 from touchd.daemon.terminal.width import text_width
 from touchd.drivers.numbers import within
 
 VERDICT_WIDTH, NAME_WIDTH = 11, 11
+ADVICE_AT = VERDICT_WIDTH + NAME_WIDTH + 2
 STYLES: dict[Verdict, str] = {"ok": "green", "warning": "yellow", "to do": "bold red", "not checked": "dim"}
 LISTEN_S = 8.0
 SHORTEST_S, LONGEST_S = 1.0, 600.0
@@ -31,6 +32,7 @@ def parser() -> argparse.ArgumentParser:
         "1: something to do; 2: wrong options.",
     )
     add_settings(parser)
+    add_grid(parser)
     parser.add_argument(
         "--seconds",
         type=within(float, SHORTEST_S, LONGEST_S),
@@ -49,9 +51,15 @@ def main(arguments: Sequence[str]) -> int:
     console = Console(width=text_width(), highlight=False, quiet=options.json)
     checks = []
     for check in examine(
-        settings, options.seconds, lambda line: talk.print(line, style="cyan"), talk if can_ask() else None
+        settings,
+        options.seconds,
+        lambda line: talk.print(line, style="cyan"),
+        talk if can_ask() else None,
+        options.grid,
     ):
         console.print(_line(check))
+        if _is_to_paste(check.advice):
+            console.print(Text(f"{' ' * ADVICE_AT}-> {check.advice}", "bold"), soft_wrap=True)
         checks.append(check)
     to_do = sum(check.verdict == "to do" for check in checks)
     console.print(f"{to_do} to do" if to_do else "nothing to do", style="bold")
@@ -66,6 +74,11 @@ def _line(check: Check) -> Table:
     line.add_column(width=NAME_WIDTH)
     line.add_column(width=text_width() - VERDICT_WIDTH - NAME_WIDTH - 3, overflow="fold")
     line.add_row(Text(check.verdict, STYLES[check.verdict]), check.name, Text(check.found))
-    if check.advice:
+    if check.advice and not _is_to_paste(check.advice):
         line.add_row("", "", Text(f"-> {check.advice}", "bold"))
     return line
+
+
+def _is_to_paste(advice: str) -> bool:
+    """Whether an advice holds a line for the configuration, which must not be wrapped."""
+    return "format: " in advice

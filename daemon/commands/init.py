@@ -14,7 +14,14 @@ from rich.console import Console
 from serial.tools.list_ports import comports
 
 from touchd.daemon.config import DEFAULT_PORT, FABRIC, OVERRIDES, ConfigError, SensorSettings, Settings, load
-from touchd.daemon.doctor.hand import can_ask, find_with_a_hand, turned_with_a_hand
+from touchd.daemon.doctor.hand import (
+    LISTEN_S,
+    add_grid,
+    can_ask,
+    find_with_a_hand,
+    find_without_asking,
+    turned_with_a_hand,
+)
 from touchd.daemon.doctor.listening import listen as listen_to_frames
 from touchd.daemon.doctor.machine import check_robot, find_robot, robot_urls
 from touchd.daemon.parts import check_pad
@@ -25,13 +32,11 @@ from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.pad.port import Line, SensorError, at_baud, open_port
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.robot.session import RobotError
-from touchd.drivers.search.listen import USUAL_BAUDS, likeliest_baud, listen
-from touchd.drivers.search.search import UNSURE, as_yaml, search
+from touchd.drivers.search.listen import USUAL_BAUDS, likeliest_baud
+from touchd.drivers.search.search import as_yaml
+from touchd.drivers.search.survey import Grid
 from touchd.drivers.whole_file import whole_file
 
-LISTEN_S = 8.0
-# Extra time for a hand that presses the pad but has not yet reached enough of it to prove the grid.
-LONGER_S = 20.0
 ANSWER_S = 0.5
 
 
@@ -47,8 +52,9 @@ def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="touchd init",
         description="Looks for a pad on this computer's ports, tries the robot, and writes a configuration. "
-        "In a terminal it asks you to press the pad; otherwise somebody has to press it while it listens for "
-        f"{LISTEN_S:g} s. Exit code 0: pad and robot answered; 1: not; 2: wrong options.",
+        "In a terminal it asks for the pad's rows and columns and for presses; otherwise give --grid, and "
+        f"press the pad while it listens for {LISTEN_S:g} s. Exit code 0: pad and robot answered; 1: not; "
+        "2: wrong options.",
     )
     parser.add_argument("file", nargs="?", type=Path, default=Path("touchd.yaml"), help="(%(default)s)")
     parser.add_argument("--port", help="the pad's port or address, instead of looking for it")
@@ -57,6 +63,7 @@ def parser() -> argparse.ArgumentParser:
         type=within(int, 1200, 4_000_000),
         help="the pad's baud rate, instead of trying the usual ones",
     )
+    add_grid(parser)
     parser.add_argument(
         "--robot", metavar="ADDRESS", help="the robot's name or address, such as nao.local, or none"
     )
@@ -81,7 +88,7 @@ def main(arguments: Sequence[str]) -> int:
     console = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
     ports = [options.port] if options.port else _ports()
     bauds = [options.baud] if options.baud else list(USUAL_BAUDS)
-    found = _find(console, ports, bauds)
+    found = _find(console, ports, bauds, options.grid)
     if found is not None and found.described is None:
         console.print(
             f"no configuration was written; how to describe a pad: {program_name()} docs pads", style="bold"
@@ -136,7 +143,7 @@ def _ports() -> list[str]:
     return [DEFAULT_PORT, *(port for port in found if port != linked)]
 
 
-def _find(console: Console, ports: Sequence[str], bauds: Sequence[int]) -> Found | None:
+def _find(console: Console, ports: Sequence[str], bauds: Sequence[int], grid: Grid | None) -> Found | None:
     """Return the first port with a pad, else the first that sends anything; None if none does.
 
     Silent ports are polled only if no port sends by itself.
@@ -144,7 +151,7 @@ def _find(console: Console, ports: Sequence[str], bauds: Sequence[int]) -> Found
     unknown: Found | None = None
     silent: list[str] = []
     for port in ports:
-        found = _listen(console, port, bauds)
+        found = _listen(console, port, bauds, grid)
         if found is None:
             silent.append(port)
         elif found.described is not None:
@@ -153,7 +160,7 @@ def _find(console: Console, ports: Sequence[str], bauds: Sequence[int]) -> Found
     return unknown or next(filter(None, (_poll(port, bauds[0]) for port in silent)), None)
 
 
-def _listen(console: Console, port: str, bauds: Sequence[int]) -> Found | None:
+def _listen(console: Console, port: str, bauds: Sequence[int], grid: Grid | None) -> Found | None:
     """Return the sender at a port; None if there is none."""
     tried: list[int] = []
 
@@ -166,24 +173,21 @@ def _listen(console: Console, port: str, bauds: Sequence[int]) -> Found | None:
             baud = likeliest_baud(opened, bauds if "://" not in port else bauds[:1], trying)
             if baud is None:
                 return None
-            described = _describe(console, opened, f"{port}{at_baud(port, baud)}", tried)
+            described = _describe(console, opened, f"{port}{at_baud(port, baud)}", tried, grid)
             return Found(port, baud, described)
     except (SensorError, OSError) as error:
         console.print(str(error), style="yellow")
         return None
 
 
-def _describe(console: Console, opened: Line, where: str, tried: Sequence[int]) -> PadFormat | None:
+def _describe(
+    console: Console, opened: Line, where: str, tried: Sequence[int], grid: Grid | None
+) -> PadFormat | None:
     """Return the proven description of the sender, or print what its bytes look like and what is missing."""
     if can_ask():
-        finding = find_with_a_hand(console, opened)
+        finding = find_with_a_hand(console, opened, grid)
     else:
-        console.print(f"press the pad: listening for {LISTEN_S:g} s ...")
-        chunks = listen(opened, LISTEN_S)
-        finding = search(chunks)
-        if finding.missing in UNSURE:
-            console.print(f"not proven yet, go on pressing: listening for {LONGER_S:g} s more ...")
-            finding = search(chunks + listen(opened, LONGER_S))
+        finding = find_without_asking(console.print, opened, (grid,))
     if finding.proposed is None:
         rates = f"; baud rates tried: {', '.join(map(str, tried))}" if len(tried) > 1 else ""
         console.print(f"{where}: {finding}{rates}", style="yellow")

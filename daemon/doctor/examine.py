@@ -7,7 +7,7 @@ from rich.console import Console
 
 from touchd.daemon.config import Settings
 from touchd.daemon.doctor.check import Check
-from touchd.daemon.doctor.hand import find_with_a_hand
+from touchd.daemon.doctor.hand import find_with_a_hand, find_without_asking
 from touchd.daemon.doctor.line import check_damage, check_format, check_opening, check_protocol, check_rate
 from touchd.daemon.doctor.listening import listen
 from touchd.daemon.doctor.machine import check_model, check_robot, check_service
@@ -20,6 +20,8 @@ from touchd.daemon.doctor.values import (
     is_pressed,
 )
 from touchd.drivers.pad.protocol import parser_of
+from touchd.drivers.search.search import Finding
+from touchd.drivers.search.survey import Grid
 
 PRESS_S = 15.0
 # Fewer frames are too few to measure a rate.
@@ -28,13 +30,15 @@ LEAST_FRAMES = 10
 Say = Callable[[str], None]
 
 
-def examine(settings: Settings, seconds: float, say: Say, talk: Console | None = None) -> Iterator[Check]:
+def examine(
+    settings: Settings, seconds: float, say: Say, talk: Console | None = None, grid: Grid | None = None
+) -> Iterator[Check]:
     """Yield each check as soon as it is made.
 
     seconds: how long to listen to the pad. say: shows a line to the user. talk: the terminal of a user who
-    can press the pad, if there is one.
+    can press the pad, if there is one. grid: the pad's rows and columns, if they were told.
     """
-    yield from _examine_pad(settings, seconds, say, talk)
+    yield from _examine_pad(settings, seconds, say, talk, grid)
     say("Loading the model ...")
     yield check_model(settings)
     if settings.robot is not None:
@@ -43,7 +47,9 @@ def examine(settings: Settings, seconds: float, say: Say, talk: Console | None =
     yield check_service()
 
 
-def _examine_pad(settings: Settings, seconds: float, say: Say, talk: Console | None) -> Iterator[Check]:
+def _examine_pad(
+    settings: Settings, seconds: float, say: Say, talk: Console | None, grid: Grid | None
+) -> Iterator[Check]:
     sensor = settings.sensor
     check, opened = check_opening(sensor)
     yield check
@@ -53,7 +59,13 @@ def _examine_pad(settings: Settings, seconds: float, say: Say, talk: Console | N
     with opened:
         say(f"Leave the pad alone for {seconds:g} s ...")
         sample = listen(opened, parser_of(sensor.described), seconds)
-        find = (lambda: find_with_a_hand(talk, opened)) if talk else None
+
+        def find() -> Finding:
+            if talk:
+                return find_with_a_hand(talk, opened, grid)
+            configured = (sensor.described.rows, sensor.described.columns)
+            return find_without_asking(say, opened, (grid,) if grid else (configured, None))
+
         yield check_protocol(sample, sensor, opened, find)
         if len(sample.frames) < LEAST_FRAMES:
             yield Check("pad", "not checked", "no frames arrive")

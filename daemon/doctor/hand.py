@@ -1,8 +1,11 @@
-"""Asks the person at the terminal to press the pad, and shows the pad's picture."""
+"""Asks the person at the terminal for the pad's grid and for presses, and shows the pad's picture."""
 
+import argparse
+import re
 import select
 import sys
 import time
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -14,14 +17,19 @@ from rich.live import Live
 from touchd.daemon.terminal.pad_picture import as_text, level_of, pad_picture
 from touchd.daemon.terminal.palette import palette_for
 from touchd.drivers.frame import COLUMNS, ROWS, Counts
-from touchd.drivers.pad.format import PadFormat
+from touchd.drivers.pad.format import LONGEST_SIDE, SHORTEST_SIDE, PadFormat
 from touchd.drivers.pad.port import Line, read_waiting
 from touchd.drivers.pad.protocol import parser_of
-from touchd.drivers.search.listen import listen
-from touchd.drivers.search.search import Chunk, Finding, search
+from touchd.drivers.search.listen import Chunk, listen
+from touchd.drivers.search.search import Finding, arrived_in, search
+from touchd.drivers.search.survey import Grid
 
+# A pad of 8 frames a second sends 16 in this time; half of them are enough to see their size.
 REST_S = 2.0
 PRESS_S = 40.0
+LISTEN_S = 8.0
+# Extra time for a hand that presses the pad but has not yet reached enough of it to prove the grid.
+LONGER_S = 20.0
 LOOK_EVERY_S = 3.0
 # Longer than any search takes.
 SEARCH_S = 60.0
@@ -45,8 +53,50 @@ def can_ask() -> bool:
     return sys.stdin.isatty()
 
 
-def find_with_a_hand(console: Console, opened: Line) -> Finding:
-    """Ask for rest and for presses until the pad's description is proven twice, or for PRESS_S."""
+def grid_of(text: str) -> Grid:
+    """Return rows and columns typed as in 16x16; raises ArgumentTypeError."""
+    sides = re.fullmatch(r"\s*(\d{1,3})\s*[x*, ]\s*(\d{1,3})\s*", text, re.IGNORECASE)
+    grid = (int(sides[1]), int(sides[2])) if sides else (0, 0)
+    if not all(SHORTEST_SIDE <= side <= LONGEST_SIDE for side in grid):
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not ROWSxCOLUMNS of {SHORTEST_SIDE} to {LONGEST_SIDE} each, as in 16x16"
+        )
+    return grid
+
+
+def add_grid(parser: argparse.ArgumentParser) -> None:
+    """Add the option --grid."""
+    parser.add_argument(
+        "--grid", metavar="ROWSxCOLUMNS", type=grid_of, help="the pad's rows and columns, as in 16x16"
+    )
+
+
+def ask_grid(console: Console, opened: Line) -> Grid | None:
+    """Say how large the pad's frames are, and ask for its rows and columns; None if nothing has frames."""
+    seen = arrived_in([Chunk(b"", time.monotonic()), *listen(opened, REST_S)]).survey
+    if seen is None:
+        return None
+    likely, why = seen.likely or (None, "")
+    default = f" [{likely[0]}x{likely[1]}] ({why})" if likely else ""
+    console.print(f"Your pad sends {seen.frame}, {seen.rate_hz:.0f} frames a second.")
+    grid: Grid | None = None
+    while grid is None:
+        console.print(f"Rows and columns?{default} ", style="cyan", end="")
+        typed = sys.stdin.readline()
+        try:
+            grid = likely if not typed.strip() and likely else grid_of(typed)
+        except argparse.ArgumentTypeError as error:
+            console.print(str(error), style="yellow")
+            if not typed:
+                break
+    # What came while the person typed is not complete.
+    opened.reset_input_buffer()
+    return grid
+
+
+def find_with_a_hand(console: Console, opened: Line, told: Grid | None) -> Finding:
+    """Ask for the grid, for rest and for presses until the description is proven twice, or for PRESS_S."""
+    grid = told or ask_grid(console, opened)
     console.print(f"Leave the pad alone for {REST_S:g} s ...", style="cyan")
     # The empty chunk marks the start, so that silence of a pad that nobody presses yet counts.
     chunks = [Chunk(b"", time.monotonic()), *listen(opened, REST_S)]
@@ -54,26 +104,42 @@ def find_with_a_hand(console: Console, opened: Line) -> Finding:
         "Press firmly in the middle, then move your hand over the whole pad, to its edges ...", style="cyan"
     )
     until_s = time.monotonic() + PRESS_S
-    before: PadFormat | None = None
+    before: Finding | None = None
     with ThreadPoolExecutor(1) as searching:
         while True:
             chunks += listen(opened, LOOK_EVERY_S)
-            search_now = searching.submit(search, tuple(chunks))
+            search_now = searching.submit(search, tuple(chunks), grid)
             # Listen during the search too: a line that nobody reads loses frames.
             chunks += listen(opened, SEARCH_S, lambda _: search_now.done())  # noqa: B023 - called in this turn
             finding = search_now.result()
-            # While a hand has reached a part of the pad only, a wrong grid may be proven.
-            if _is_again(finding.proposed, before) or time.monotonic() >= until_s:
+            if (before and _is_again(finding, before)) or time.monotonic() >= until_s:
                 return finding
-            before = finding.proposed
+            before = finding
 
 
-def _is_again(found: PadFormat | None, before: PadFormat | None) -> bool:
-    """Whether two searches found the same cells; their scale may grow with a firmer press."""
-    if found is None or before is None:
-        return False
-    same_grid = (found.rows, found.columns) == (before.rows, before.columns)
-    return same_grid and (found.line, found.invert) == (before.line, before.invert)
+def find_without_asking(say: Callable[[str], None], opened: Line, grids: Sequence[Grid | None]) -> Finding:
+    """Search what arrives while somebody may press the pad, with each of the grids until one is proven."""
+    say(f"press the pad: listening for {LISTEN_S:g} s ...")
+    chunks = listen(opened, LISTEN_S)
+    found = [search(chunks, grid) for grid in grids]
+    if all(finding.proposed is None for finding in found) and any(finding.may_come for finding in found):
+        say(f"not proven yet, go on pressing: listening for {LONGER_S:g} s more ...")
+        chunks += listen(opened, LONGER_S)
+        found = [search(chunks, grid) for grid in grids]
+    return max(found, key=lambda finding: (finding.proposed is not None, finding.likely is not None))
+
+
+def _is_again(finding: Finding, before: Finding) -> bool:
+    """Whether two searches found the same cells; their scale may grow with a firmer press.
+
+    While a hand has reached a part of the pad only, the wrong cells may be proven. What more presses cannot
+    mend counts if it was missing twice.
+    """
+    found, earlier = finding.proposed, before.proposed
+    if found is None or earlier is None:
+        return found is earlier and not (finding.may_come or before.may_come)
+    same_grid = (found.rows, found.columns) == (earlier.rows, earlier.columns)
+    return same_grid and (found.line, found.invert) == (earlier.line, earlier.invert)
 
 
 def turned_with_a_hand(console: Console, opened: Line, described: PadFormat) -> PadFormat:

@@ -17,8 +17,8 @@ from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.pace import clock_by_ours, pace_of
 from touchd.drivers.pad.port import Line, SensorError, at_baud, check_port, open_port
 from touchd.drivers.pad.protocol import parser_of
-from touchd.drivers.search.listen import USUAL_BAUDS
-from touchd.drivers.search.search import Chunk, Finding, as_yaml, search
+from touchd.drivers.search.listen import USUAL_BAUDS, Chunk
+from touchd.drivers.search.search import Finding, as_yaml, search
 
 TRY_BAUD_S = 0.5
 # The ring resamples any rate from the first on to 54 Hz; answers are best between the other two.
@@ -63,11 +63,11 @@ def check_opening(sensor: SensorSettings) -> tuple[Check, Line | None]:
 
 
 def check_protocol(
-    sample: Sample, sensor: SensorSettings, opened: Line, find: Callable[[], Finding] | None = None
+    sample: Sample, sensor: SensorSettings, opened: Line, find: Callable[[], Finding]
 ) -> Check:
     """Report whether frames were decoded; if not, try other baud rates, then search for another format.
 
-    find: asks for a hand on the pad and searches what it sends; without it, the sample is searched.
+    find: asks for a hand on the pad and searches what it sends.
     """
     described = sensor.described
     if sample.frames:
@@ -93,7 +93,7 @@ def check_protocol(
         return Check("protocol", "to do", looks, ADVICE_FOR_BYTES[kind])
     if not is_text(data) and (baud := _other_baud(sensor, opened)):
         return Check("protocol", "to do", f"{described}, but at {baud} baud", f"set sensor.baud: {baud}")
-    finding = find() if find else search(sample.chunks)
+    finding = find()
     if finding.proposed is not None:
         return Check("protocol", "to do", looks, _advice_to_set(finding.proposed, sensor))
     tried = "" if is_text(data) or "://" in sensor.port else f"; baud rates tried: {_listed(USUAL_BAUDS)}"
@@ -102,7 +102,8 @@ def check_protocol(
 
 def check_format(chunks: Sequence[Chunk], sensor: SensorSettings) -> Iterator[Check]:
     """Report the format that `init` would propose for a pad whose frames are read, if that differs."""
-    proposed, described = search(chunks).proposed, sensor.described
+    described = sensor.described
+    proposed = search(chunks, (described.rows, described.columns)).proposed
     if proposed is not None and _grid(proposed) != _grid(described):
         found = f"the bytes look like {as_yaml(proposed)}, not like {described}"
         yield Check("format", "warning", found, _advice_to_set(proposed, sensor))

@@ -9,7 +9,7 @@ import numpy as np
 from touchd.drivers.frame import CLOCK_MODULUS, Counts, Frame
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import Line, SensorError, read_waiting
-from touchd.drivers.search.search import MOST_BYTES, Chunk
+from touchd.drivers.search.listen import MOST_BYTES, Chunk
 
 # Opening the port restarts an Arduino, whose boot loader takes two seconds.
 START_S = 4.0
@@ -47,7 +47,8 @@ def listen(
 ) -> Sample:
     """Listen for `seconds` after the first frame, by the pad's clock or this machine's, whichever ends first.
 
-    start_s: how long the first frame may take. enough: stops listening at a frame if true.
+    Without a frame, listen for `seconds` after the first bytes.
+    start_s: how long the first bytes may take. enough: stops listening at a frame if true.
     Takes at most start_s + seconds.
     """
     frames: list[Frame] = []
@@ -65,6 +66,8 @@ def listen(
             break
         now_s = time.monotonic()
         arrived = parser.feed(data, now_s)
+        if data and not chunks:
+            until_s = now_s + seconds
         chunks += [Chunk(data, now_s)] if data else []
         size += len(data)
         while size > MOST_BYTES:

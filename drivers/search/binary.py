@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from touchd.drivers.pad.binary import CELL_BITS, PLAIN_CELLS, BinaryFrames, frame_bytes
 from touchd.drivers.pad.format import CELL_TOP, PadFormat
-from touchd.drivers.search.neighbours import Numbers, Reading, counting
+from touchd.drivers.search.neighbours import Numbers, Reading
 from touchd.drivers.search.text import LEAST_FRAMES
 
 Bytes = NDArray[np.uint8]
@@ -40,7 +40,7 @@ CLOCK_TOLERANCE = 0.1
 TINY_FLOAT, HUGE_FLOAT = 1e-9, 1e9
 KINDS: tuple[tuple[str, Order], ...] = (
     ("u8", "little"),
-    *((kind, order) for kind in ("u16", "i16", "f32") for order in ("little", "big")),  # type: ignore[misc]
+    *((kind, order) for kind in ("u16", "i16", "f32") for order in ("little", "big")),
 )
 
 
@@ -99,11 +99,11 @@ def _placed(frames: Frames, around: int, grid: PadFormat, bits: int) -> Iterator
     """Yield the readings of cells of one size, beginning at each byte that leaves a header beside them."""
     length = frames.data.shape[1]
     twice = np.hstack([frames.data[:-1], frames.data[1:]])
-    steps = np.diff(frames.data.astype(np.float64), axis=0)
-    rising = counting(frames.data.astype(np.float64)) | ((steps >= 0).all(axis=0) & (steps > 0).any(axis=0))
+    steps = np.diff(frames.data.astype(np.int16), axis=0)
+    only_rise = np.array((steps >= 0).all(axis=0) & (steps > 0).any(axis=0))
     for start in range(length):
         places = np.arange(start - around, start) % length
-        header = _header(frames, places, rising)
+        header = _header(frames, places, only_rise)
         if header is None:
             continue
         begin, mark = header
@@ -138,18 +138,20 @@ def _decoded(cells: Bytes, kind: str, order: Order) -> Numbers | None:
     return sent.astype(np.float64)
 
 
-def _header(frames: Frames, places: NDArray[np.int_], rising: NDArray[np.bool_]) -> tuple[int, bytes] | None:
+def _header(
+    frames: Frames, places: NDArray[np.int_], only_rise: NDArray[np.bool_]
+) -> tuple[int, bytes] | None:
     """Return the header in the bytes around the cells, and where it begins there.
 
-    Bytes next to one that counts may be the upper bytes of its counter, and change later.
+    Bytes next to one that only rises may be the upper bytes of its counter, and change later.
     """
     steady, marks = frames.steady[places], frames.marks[places]
     usual = np.median(frames.data[:, places], axis=0).astype(np.uint8).tobytes()
     best: tuple[int, bytes] | None = None
     edges = np.flatnonzero(np.diff(np.concatenate([[False], steady, [False]]).astype(np.int8)))
     for start, stop in edges.reshape(-1, 2).tolist():
-        before = UPPER_BYTES * bool(start and rising[places[start - 1]])
-        after = UPPER_BYTES * bool(stop < len(usual) and rising[places[stop]])
+        before = UPPER_BYTES * bool(start and only_rise[places[start - 1]])
+        after = UPPER_BYTES * bool(stop < len(usual) and only_rise[places[stop]])
         upper = sorted(product(range(before + 1), range(after + 1)), key=sum, reverse=True)
         tried = [
             (start + one, usual[start + one : max(stop - other, 0)][:LONGEST_HEADER]) for one, other in upper

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,8 +12,7 @@ from touchd.drivers.pad.format import PRESETS
 from touchd.drivers.pad.port import Line, read_waiting
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.pad.text import ended_at, lines_in, numbers_in
-from touchd.drivers.search.binary import has_frames
-from touchd.drivers.search.search import MOST_BYTES, Chunk
+from touchd.drivers.search.binary import frames_in
 
 # The usual baud rates, the likeliest first; 512000 is that of the lab's Mega build.
 USUAL_BAUDS = (
@@ -25,6 +25,15 @@ SAMPLE_S, LONGEST_SAMPLE_S = 0.4, 1.5
 SAMPLE_BYTES = 3000
 FEW_BYTES = 0.01
 SURE = 3.0
+# Most bytes that are kept, the latest ones; more than any pad sends in a second.
+MOST_BYTES = 1_000_000
+
+
+class Chunk(NamedTuple):
+    """Bytes, and when they arrived (monotonic seconds)."""
+
+    data: bytes
+    host_s: float
 
 
 def listen(
@@ -82,7 +91,7 @@ def likelihood(data: bytes) -> float:
     if is_text(data):
         lines = list(lines_in(data[: ended_at(data)]))
         return SURE if any(numbers_in(line)[0] for line in lines) else 2.5
-    return 2.0 * has_frames(data) + has_single_bits(data) * 0.5
+    return 2.0 * (frames_in(data) is not None) + has_single_bits(data) * 0.5
 
 
 def has_single_bits(data: bytes) -> bool:

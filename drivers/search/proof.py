@@ -1,8 +1,7 @@
-"""What has to hold before cells are proposed as a pad: a hand presses them, and the parser reads what comes."""
+"""What has to hold before cells are proposed as a pad: a hand presses them, and the parser reads them."""
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
@@ -13,6 +12,7 @@ from touchd.drivers.pad.binary import frame_bytes
 from touchd.drivers.pad.format import CELL_TOP, PadFormat, layout_of
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.protocol import parser_of
+from touchd.drivers.search.listen import Chunk
 from touchd.drivers.search.neighbours import (
     Numbers,
     Reading,
@@ -20,8 +20,8 @@ from touchd.drivers.search.neighbours import (
     deviations,
     falls,
     movement,
+    runs_to_and_fro,
     thinned,
-    together,
 )
 from touchd.drivers.search.text import LEAST_FRAMES
 
@@ -33,19 +33,20 @@ PARTS, UNEVEN = 8, 3.0
 # A pad that sends nothing for this long sends only while it is pressed.
 LONGEST_PAUSE_S = 1.5
 # Neighbours exceed shuffled cells by this many standard deviations.
-SURE = 3.0
+SURE = 2.5
 # The farthest movement under a hand, in noises.
 PRESSED_NOISES = 8.0
 # The 30th percentile of a normal distribution's absolute deviations; a pad may be pressed half the time.
 NORMAL_30 = 0.385
 # A hand moves the cells one way: the other way, by less than this share.
-BOTH_WAYS = 0.5
+BOTH_WAYS = 0.6
 FULL_SCALES = (1023, 4095, 65535)
 ROUND = (1, 2, 5, 10)
 # A configuration takes no larger full_scale; a parser cannot divide by a smaller one.
 SMALLEST_SCALE, LARGEST_SCALE = 1e-30, 4e9
 # A press must move a cell by this many counts of the model's scale: less is detected, but not recognised.
 LEAST_PRESS = 16.0
+SELDOM_AT_REST = 0.25
 MOSTLY = 0.9
 FEW = 0.2
 MOST_FOLLOWING = 4
@@ -56,15 +57,17 @@ WRAP = 192
 TURNS = 0.8
 
 
-class Chunk(NamedTuple):
-    """Bytes, and when they arrived (monotonic seconds)."""
+def rest_of(values: Numbers) -> Numbers:
+    """Return what (frames, numbers) read at rest.
 
-    data: bytes
-    host_s: float
+    A hand may stay on a pad for most of the time. Only signed values, which count from rest, show that.
+    """
+    rest: Numbers = np.quantile(values, SELDOM_AT_REST if values.min(initial=0) < 0 else 0.5, axis=0)
+    return rest
 
 
 def strays(values: Numbers) -> Numbers:
-    """Return how far each of (frames, numbers) strays while nothing presses it: from frame to frame, or slowly."""
+    """Return how far each of (frames, numbers) strays at rest: from frame to frame, or slowly."""
     off = np.abs(values - np.median(values, axis=0))
     steps = np.abs(np.diff(values, axis=0))
     of_each: Numbers = np.maximum(np.median(steps, axis=0), np.quantile(off, 0.3, axis=0) / NORMAL_30)
@@ -82,7 +85,7 @@ def noise_of(values: Numbers) -> float:
 
 
 def is_mixed(reading: Reading) -> bool:
-    """Whether some numbers of a reading are other than its cells: a header, a row number, or a second pad beside."""
+    """Whether some numbers are no cells: a header or a row number inside, or a second pad beside them."""
     values = thinned(reading.values)
     fractions = (values % 1 != 0).any(axis=0)
     if 0 < fractions.mean() < FEW or _pressed(thinned(reading.beside)).sum() > MOST_FOLLOWING:
@@ -100,7 +103,7 @@ def is_mixed(reading: Reading) -> bool:
 
 
 def _pressed(numbers: Numbers) -> NDArray[np.bool_]:
-    """Whether each of (frames, numbers) rests, and moves smoothly when it does not, as a cell under a hand."""
+    """Whether each of (frames, numbers) rests at times and else moves smoothly, as under a hand."""
     off = numbers - np.median(numbers, axis=0)
     lasts = (off[1:] * off[:-1]).sum(axis=0) > LASTS * np.square(off).sum(axis=0)
     moves = np.abs(off).max(axis=0, initial=0) > PRESSED_NOISES * np.maximum(strays(numbers), 1e-9)
@@ -111,9 +114,7 @@ def _pressed(numbers: Numbers) -> NDArray[np.bool_]:
 def objection(reading: Reading) -> str:
     """Say why a reading's cells are not a pressed pad; "" if they are proven to be one."""
     values = thinned(reading.values)
-    # Signed values count from rest; a hand may stay on the pad for most of the time.
-    rest = np.quantile(values, 0.25 if values.min() < 0 else 0.5, axis=0)
-    off, noise = values - rest, noise_of(values)
+    off, noise = values - rest_of(values), noise_of(values)
     largest = float(np.abs(off).max())
     if largest <= PRESSED_NOISES * noise:
         return f"nothing presses the pad (its numbers move by {largest:.4g}): press it while I listen"
@@ -147,11 +148,7 @@ def _misread(reading: Reading, values: Numbers) -> str:
         ):
             return "its bytes seem to be signed, or halves of larger numbers: send u8, u16, i16 or f32 cells"
     rows, columns = reading.grid
-    cells = np.arange(rows * columns).reshape(rows, columns)
-    to_and_fro = cells.copy()
-    to_and_fro[1::2] = cells[1::2, ::-1]
-    moved = movement(reading.values)
-    if together(moved, to_and_fro) > together(moved, cells):
+    if runs_to_and_fro(movement(reading.values), np.arange(rows * columns).reshape(rows, columns)):
         return "every other row seems to run backwards: print all rows in one direction"
     next_one, after_next = (np.square(reading.values[n:] - reading.values[:-n]).mean() for n in (1, 2))
     if after_next < TURNS * next_one:

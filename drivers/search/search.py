@@ -1,7 +1,7 @@
 """Finds the description of a pad in its bytes, told its rows and columns, and proves it.
 
-Told the grid, arithmetic leaves a few placements of the cells in a frame. That in which neighbours move together
-most is proposed if a hand presses the pad and touchd's own parser reads nearly all that came.
+Told the grid, arithmetic leaves a few placements of the cells in a frame. The one in which neighbours move
+together most is proposed if a hand presses the pad and touchd's own parser reads nearly all that came.
 """
 
 import json
@@ -15,19 +15,18 @@ from touchd.drivers.frame import MIN_RATE_HZ
 from touchd.drivers.pad.arrived import is_text, looks_like
 from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.search import binary, text
+from touchd.drivers.search.listen import MOST_BYTES, Chunk
 from touchd.drivers.search.neighbours import Reading, is_stride, movement, thinned, together
-from touchd.drivers.search.proof import Chunk, is_mixed, objection, scaled, unexplained, unscaled
+from touchd.drivers.search.proof import is_mixed, objection, scaled, unexplained, unscaled
 from touchd.drivers.search.survey import Grid, Survey, survey
 
-# Most bytes that a search uses, the latest ones; more than any pad sends in a second.
-MOST_BYTES = 1_000_000
-# A placement may be right if its neighbours move together by this share of the best one's, which a checksum among
-# the cells or the wrong byte order may exceed. Of these, take one that is hardly rougher than the smoothest.
-# Chosen on 120 generated formats; 0.7 to 0.9 and 1.01 to 1.05 decide alike.
+# A placement may be right if its neighbours move together by this share of the best one's, which a checksum
+# among the cells may raise. Of these, take one that is hardly rougher than the smoothest. Chosen on 240
+# generated formats.
 NEAR, SMOOTH = 0.8, 1.03
 NO_FRAMES_IN_TEXT = "no frames: print each in a line, or a row a line and an empty line after each frame"
 NO_FRAMES_IN_BYTES = "no frames of one length: a wrong baud rate, or no header? send a header of two bytes"
-CHANGING_WORDS = "the letters in its lines change: hexadecimal, or two pads by turns? print plain decimal numbers of one pad"
+CHANGING_WORDS = "the letters in its lines change (hexadecimal? two pads?): print one pad's numbers"
 MIXED = (
     "numbers among or beside its cells are others: print the cells of one pad, and what changes after them"
 )
@@ -37,8 +36,8 @@ MIXED = (
 class Finding:
     """What a search found.
 
-    proposed: the description, if it is proven. missing: why nothing is proposed, "" if something is. saw: what
-    arrived, in words. likely: a description that may be right. may_come: whether more presses may prove it.
+    proposed: the description, if it is proven. missing: why nothing is proposed, "" if something is. saw:
+    what arrived, in words. likely: a description that may be right. may_come: more presses may prove it.
     """
 
     proposed: PadFormat | None
@@ -99,7 +98,9 @@ def search(chunks: Sequence[Chunk], grid: Grid | None) -> Finding:
     fitting = _fitting(arrived, grid)
     best = _best([reading for reading in fitting if not is_mixed(reading)])
     if best is None:
-        return Finding(None, MIXED if fitting else _why_none_fits(arrived, seen, grid), saw, may_come=True)
+        return Finding(
+            None, MIXED if fitting else _why_none_fits(arrived, seen, grid), saw, may_come=bool(fitting)
+        )
     return _proven(best, arrived, saw)
 
 
@@ -111,10 +112,14 @@ def _fitting(arrived: Arrived, grid: Grid) -> list[Reading]:
 
 def _why_none_fits(arrived: Arrived, seen: Survey | None, grid: Grid) -> str:
     if arrived.lines is None:
-        return f"{seen.frame}, which do not fit {grid[0]}x{grid[1]} cells" if seen else NO_FRAMES_IN_BYTES
+        return _unfit(seen, grid) if seen else NO_FRAMES_IN_BYTES
     if any(frames.changing > text.CHANGING for frames in text.printed(arrived.lines)):
         return CHANGING_WORDS
-    return f"{seen.frame}, which do not fit {grid[0]}x{grid[1]} cells" if seen else NO_FRAMES_IN_TEXT
+    return _unfit(seen, grid) if seen else NO_FRAMES_IN_TEXT
+
+
+def _unfit(seen: Survey, grid: Grid) -> str:
+    return f"{seen.frame}, which do not fit {grid[0]}x{grid[1]} cells; say --grid ROWSxCOLUMNS"
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +140,7 @@ def _best(readings: Sequence[Reading]) -> Reading | None:
     least = min((each.roughness for each in near), default=0.0)
     smooth = (each for each in near if each.roughness <= SMOOTH * least)
     best = max(smooth, key=lambda each: each.rank, default=None)
-    return best and best.reading
+    return None if best is None else best.reading
 
 
 def _placed(reading: Reading) -> _Placed:

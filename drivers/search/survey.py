@@ -4,8 +4,6 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from touchd.drivers.pad.binary import frame_bytes
 from touchd.drivers.pad.format import LONGEST_SIDE, PRESETS, SHORTEST_SIDE, PadFormat
 from touchd.drivers.pad.protocol import parser_of
@@ -21,7 +19,7 @@ FITS = 0.9
 class Survey:
     """What a pad sends.
 
-    frame: how large a frame is, in words. rate_hz: frames a second. grid: the rows and columns that the frames
+    frame: how large a frame is, in words. rate_hz: frames a second. grid: the rows and columns that frames
     show; None if they do not. likely: those that may be right, and why.
     """
 

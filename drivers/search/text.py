@@ -4,6 +4,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from operator import lt
 
 import numpy as np
@@ -48,7 +49,7 @@ class TextLine:
 class Printed:
     """Frames of equal lines.
 
-    numbers: (frames, lines, numbers of a line). skip: numbers that at least lead each line. end: the text
+    numbers: (frames, lines, numbers of a line). skip: how many numbers at least lead each line. end: the text
     that ends a frame. changing: the share of frames whose words differ from the last one's.
     """
 
@@ -59,12 +60,11 @@ class Printed:
 
     @property
     def are_cells(self) -> NDArray[np.bool_]:
-        """Which columns of lines may be cells: those that differ between frames, or are equal in all lines."""
-        is_still = np.ptp(self.numbers, axis=0) == 0
-        differs = np.ptp(self.numbers[0], axis=0) > 0
-        may_be: NDArray[np.bool_] = ~(is_still.all(axis=0) & differs)
-        may_be[: self.skip] = False
-        return may_be
+        """Which columns of lines may be cells: they change with time, or are equal in all lines."""
+        moves = np.ptp(self.numbers, axis=0).max(axis=0)
+        differs = np.ptp(self.numbers[0], axis=0)
+        moves[: self.skip], differs[: self.skip] = 0, 1
+        return np.array((moves > 0) | (differs == 0))
 
 
 def lines_of(data: bytes) -> list[TextLine]:
@@ -104,7 +104,7 @@ def readings(lines: Sequence[TextLine], rows: int, columns: int) -> Iterator[Rea
             or not np.isfinite(frames.numbers).all()
         ):
             continue
-        counts = counting(frames.numbers.reshape(count, -1)).reshape(height, width).any(axis=0)
+        counts = counting(frames.numbers.reshape(count, -1)).reshape(height, width).max(axis=0)
         for skip in range(frames.skip, beside + 1):
             cells = np.arange(skip, skip + across)
             leads = frames.numbers[:, :, :skip]
@@ -119,9 +119,7 @@ def readings(lines: Sequence[TextLine], rows: int, columns: int) -> Iterator[Rea
 
 def _table(frames: Sequence[Sequence[TextLine]], skip: int, end: str) -> Printed:
     words = [tuple(line.words for line in frame) for frame in frames]
-    changing = sum(one != other for one, other in zip(words, words[1:], strict=False)) / max(
-        len(words) - 1, 1
-    )
+    changing = sum(one != other for one, other in pairwise(words)) / max(len(words) - 1, 1)
     return Printed(np.array([[line.numbers for line in frame] for frame in frames]), skip, end, changing)
 
 

@@ -21,6 +21,7 @@ from touchd.drivers.frame import Frame
 from touchd.drivers.pad.format import PRESETS
 from touchd.drivers.pad.port import open_port
 from touchd.drivers.pad.protocol import parser_of
+from touchd.drivers.search.search import Finding, search
 
 TOUCHED = stream_of(next(iter(RECORDINGS)))
 
@@ -28,7 +29,7 @@ TOUCHED = stream_of(next(iter(RECORDINGS)))
 @pytest.mark.parametrize(
     ("encode", "found", "advice"),
     [
-        (as_8x8, "no frame of fabric-grid 10x10 in", "press"),
+        (as_8x8, "no frame of fabric-grid 10x10 in", "say --grid ROWSxCOLUMNS"),
         (encode_csv_line, "bytes/s of text, such as", "press"),
         (silence, "no data", "reset button"),
     ],
@@ -57,8 +58,8 @@ def test_cropping_a_small_pad_is_a_warning() -> None:
 
 def protocol_of(pad: FakePort, sensor: SensorSettings = SETTINGS.sensor, seconds: float = 1.0) -> Check:
     with pad, open_port(pad.path, 512_000) as opened:
-        seen = listen(opened, parser_of(sensor.described), 1.0, start_s=seconds)
-        return check_protocol(seen, sensor, opened)
+        seen = listen(opened, parser_of(sensor.described), seconds)
+        return check_protocol(seen, sensor, opened, lambda: search(seen.chunks, None))
 
 
 def test_another_baud_rate_is_found_by_trying() -> None:
@@ -77,7 +78,7 @@ def test_a_pad_unplugged_while_listening_is_reported() -> None:
         port.stop()
         after = listen(opened, parser_of(SETTINGS.sensor.described), 0.3)
     assert len(first.frames) > 5
-    assert "unplugged" in check_protocol(after, SETTINGS.sensor, opened).found
+    assert "unplugged" in check_protocol(after, SETTINGS.sensor, opened, lambda: Finding(None, "", "")).found
 
 
 def test_a_line_that_damages_frames_is_recognised() -> None:

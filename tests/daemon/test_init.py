@@ -72,7 +72,7 @@ def test_the_pads_port_and_baud_rate_are_found(monkeypatch: pytest.MonkeyPatch) 
 
 
 @needs_third_study
-def test_a_coarse_pad_is_found_from_its_bytes_alone() -> None:
+def test_a_coarse_pad_is_found_told_its_grid() -> None:
     touches = [each for _, touched, each in third_study("S15") if touched]
     # Somebody touches the pad throughout this stream, so any eight seconds of it prove the format.
     played = touches[14]
@@ -80,7 +80,7 @@ def test_a_coarse_pad_is_found_from_its_bytes_alone() -> None:
     with FakePort(
         stream, lambda cells, ms: f"{ms},{','.join(map(str, cells))}\r\n".encode(), loop=True
     ) as pad:
-        assert write("--port", pad.path) == 0
+        assert write("--port", pad.path, "--grid", "6x6") == 0
     found = load(FILE).sensor.described
     assert (found.rows, found.columns, found.skip, found.invert) == (6, 6, 1, False)
 
@@ -88,12 +88,13 @@ def test_a_coarse_pad_is_found_from_its_bytes_alone() -> None:
 def test_a_pad_that_nobody_presses_is_refused_in_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(init, "LISTEN_S", 3.0)
+    monkeypatch.setattr(hand, "LISTEN_S", 3.0)
+    monkeypatch.setattr(hand, "LONGER_S", 0.1)
     rest = np.random.default_rng(0).integers(0, 4, (4000, 8, 8)).astype(np.uint16)
     printed = PadFormat(framing="text", rows=8, columns=8)
     still = Stream(rest, ideal_clock_ms(len(rest)), ())
     with FakePort(still, encoder_for(SensorSettings(format=printed)), loop=True) as pad:
-        assert write("--port", pad.path) == 1
+        assert write("--port", pad.path, "--grid", "8x8") == 1
     said = capsys.readouterr().err
     assert "bytes/s of text, such as" in said
     assert "press it while I listen" in said
@@ -202,14 +203,14 @@ def test_a_robots_name_finds_its_protocol_and_port(
 
 def test_a_grid_that_only_one_search_found_is_not_proposed(monkeypatch: pytest.MonkeyPatch) -> None:
     early, found, firmer = (
-        Finding(replace(PRESETS["velostat"], columns=columns, full_scale=scale), (), "", "")
+        Finding(replace(PRESETS["velostat"], columns=columns, full_scale=scale), "", "")
         for columns, scale in ((4, 1023), (8, 1023), (8, 4095))
     )
     searches = iter([early, found, firmer])
     monkeypatch.setattr(hand, "listen", lambda *_: [])
-    monkeypatch.setattr(hand, "search", lambda _: next(searches))
+    monkeypatch.setattr(hand, "search", lambda *_: next(searches))
     unused: Any = None
-    assert hand.find_with_a_hand(Console(quiet=True), unused) == firmer
+    assert hand.find_with_a_hand(Console(quiet=True), unused, (8, 8)) == firmer
 
 
 def test_a_silent_robot_is_written_with_its_likeliest_address(
@@ -242,7 +243,9 @@ def test_the_robot_is_asked_for_tried_and_used(monkeypatch: pytest.MonkeyPatch) 
     with Robot() as robot, FakePort(STREAM, ENCODE, loop=True) as port:
         with Terminal("init", "--port", port.path, "--baud", "115200") as terminal:
             # init asks for presses; the recording contains them.
-            terminal.until("Leave the pad alone")
+            terminal.until("Rows and columns? [10x10] (as fabric-grid)")
+            terminal.answer("10", "is not ROWSxCOLUMNS of 4 to 64 each, as in 16x16")
+            terminal.answer("", "Leave the pad alone")
             terminal.until("Press firmly in the middle")
             terminal.until("Touch the corner that should be top left")
             terminal.until("Does the picture follow it? [Y/n]")

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rigs.haart_folder import THIRD_STUDY
 
-from touchd.drivers.search.search import Chunk
+from touchd.drivers.search.listen import Chunk
 
 # The limits of the proof were chosen on the streams of the three other people.
 JUDGED_ON = ("S10", "S12", "S15", "S18")
@@ -34,5 +34,9 @@ def third_study(*who: str) -> list[tuple[str, bool, NDArray[np.int_]]]:
     ]
 
 
-def printed(stream: NDArray[np.int_]) -> list[Chunk]:
-    return [Chunk((",".join(map(str, row)) + "\r\n").encode(), row[0] / 1000) for row in stream.tolist()]
+def printed(stream: NDArray[np.int_], clock: bool = True) -> list[Chunk]:
+    """Return a stream's lines, with the clock in front or the cells alone."""
+    return [
+        Chunk((",".join(map(str, row if clock else row[1:])) + "\r\n").encode(), row[0] / 1000)
+        for row in stream.tolist()
+    ]

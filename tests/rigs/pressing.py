@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from touchd.drivers.fakes.encode import encode_values
 from touchd.drivers.pad.format import PadFormat
-from touchd.drivers.search.search import Chunk
+from touchd.drivers.search.listen import Chunk
 
 SECONDS = 8.0
 
