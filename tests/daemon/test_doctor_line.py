@@ -1,6 +1,7 @@
 """The doctor's checks of the pad's line: format, damage, rate."""
 
 import termios
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -15,7 +16,6 @@ from touchd.daemon.config import SensorSettings
 from touchd.daemon.doctor.check import Check
 from touchd.daemon.doctor.line import check_damage, check_protocol, check_rate
 from touchd.daemon.doctor.listening import Sample, listen
-from touchd.daemon.playback.rig import encoder_for
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import Frame
 from touchd.drivers.pad.format import PRESETS
@@ -42,9 +42,10 @@ def test_a_line_without_frames_is_recognised(encode: Encode, found: str, advice:
 
 
 def test_settings_against_the_proven_format_are_named() -> None:
-    wrong = SensorSettings(format="csv", rows=8, columns=8, crop=0, turn=90)
-    check = protocol_of(FakePort(TOUCHED, encoder_for(SETTINGS.sensor), loop=True), wrong, seconds=8.0)
-    assert check.advice == "set under sensor: format: fabric-grid; delete rows, columns, crop there"
+    wrong = SensorSettings(rows=8, columns=8, crop=0, turn=90)
+    proven = Finding(PRESETS["csv"], "", "text")
+    check = protocol_of(pad_of(resting(60.0), encode_csv_line), wrong, find=lambda: proven)
+    assert check.advice == "set under sensor: format: csv; delete rows, columns, crop there"
 
 
 def test_cropping_a_small_pad_is_a_warning() -> None:
@@ -56,10 +57,12 @@ def test_cropping_a_small_pad_is_a_warning() -> None:
     assert protocol_of(pad_of(resting(60.0), as_8x8), whole).verdict == "ok"
 
 
-def protocol_of(pad: FakePort, sensor: SensorSettings = SETTINGS.sensor, seconds: float = 1.0) -> Check:
+def protocol_of(
+    pad: FakePort, sensor: SensorSettings = SETTINGS.sensor, find: Callable[[], Finding] | None = None
+) -> Check:
     with pad, open_port(pad.path, 512_000) as opened:
-        seen = listen(opened, parser_of(sensor.described), seconds)
-        return check_protocol(seen, sensor, opened, lambda: search(seen.chunks, None))
+        seen = listen(opened, parser_of(sensor.described), 1.0)
+        return check_protocol(seen, sensor, opened, find or (lambda: search(seen.chunks, None)))
 
 
 def test_another_baud_rate_is_found_by_trying() -> None:
