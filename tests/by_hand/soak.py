@@ -5,10 +5,11 @@
 with the memory settings of the service.
 
 Bytes go through parser, ring, touch tracker, classifier, decision, monitor, journal, kept touches, the link
-to a stand-in robot that is switched off and on, and the live page, with a viewer now and then; the pad is
-unplugged at times, and its line has bursts of garbage. The pad is another program, its line a pipe, which
-waits for the daemon's parts; a serial port does not wait, and frames would be dropped. Ends with exit code 1
-when anything grew or was lost; a run that --minutes cut short says how many hours it was.
+to a stand-in robot that is switched off and on, the live page, with a viewer now and then, and MQTT, with a
+broker that comes and goes (if mosquitto is installed). The pad is unplugged at times, its board restarts,
+its line has bursts of garbage, and some touches are in passing. The pad is another program, its line a pipe,
+which waits for the daemon's parts; a serial port does not wait, and frames would be dropped. Ends with exit
+code 1 when anything grew or was lost; a run that --minutes cut short says how many hours it was.
 """
 
 import argparse
@@ -20,12 +21,17 @@ import threading
 import time
 from collections import deque
 from collections.abc import Iterable
+from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 from rigs.audit import Audit, Viewer
+from rigs.peers import MOSQUITTO, broker, subscribed
 from rigs.soak_line import pad
 from rigs.sockets import free_port
 
+from touchd.daemon.bridges.bridges import make_bridges
+from touchd.daemon.bridges.settings import MqttSettings
 from touchd.daemon.config import LiveSettings, Settings
 from touchd.daemon.events import Event, TouchEnded, encode
 from touchd.daemon.journal import Journal, JournalSink
@@ -55,8 +61,9 @@ JOURNAL_BYTES = 1_000_000
 JOURNAL_KEEP = 2
 TOUCHES_KEPT = 50
 WRITTEN_S = 10.0
-# The robot's switches divide an hour into eight spans; a viewer comes in this one.
+# The robot's switches divide an hour into eight spans; a viewer and the broker come in this one.
 LOOKED_AT = 3
+RECONNECTED_S = 30.0
 
 
 def memory_mb() -> float:
@@ -74,6 +81,39 @@ class PromptStore(TouchStore):
         """Write a touch, and signal it."""
         super().add(touch)
         self.written.release()
+
+
+class Broker:
+    """An MQTT broker that comes and goes, and remembers nothing. seen: how many messages reached a listener.
+
+    times: how often it came. states: how often the pad's state was there soon afterwards.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.port = free_port()
+        self.times = self.states = self.seen = 0
+        self._folder = folder
+        self._there = ExitStack()
+
+    def come(self) -> None:
+        """Start, and wait until the daemon has published the pad's state."""
+        if MOSQUITTO is None:
+            return
+        self.times += 1
+        arrived = threading.Event()
+
+        def hear(message: Any) -> None:
+            self.seen += 1
+            if message.topic.endswith("/state") and message.payload in (b"up", b"down", b"degraded"):
+                arrived.set()
+
+        self._there.enter_context(broker(self._folder, self.port))
+        self._there.enter_context(subscribed(self.port, "touchd/#", hear))
+        self.states += arrived.wait(RECONNECTED_S)
+
+    def leave(self) -> None:
+        """End; may be repeated."""
+        self._there.close()
 
 
 class Soak:
@@ -97,7 +137,16 @@ class Soak:
         self._touch_sink = TouchSink({"pad": self._store})
         self._live_sink = open_live_page(settings, {"pad": model})
         robot_sink = RobotSink(self._link)
-        self._sinks = (self._journal_sink, robot_sink, self._touch_sink, self._live_sink)
+        self.broker = Broker(folder)
+        mqtt = MqttSettings(host="127.0.0.1", port=self.broker.port, discovery=None)
+        self._bridges = make_bridges({"mqtt": mqtt}, {"pad": model.labels}, folder / "retained.json")
+        self._sinks = (
+            self._journal_sink,
+            robot_sink,
+            self._touch_sink,
+            self._live_sink,
+            *self._bridges,
+        )
         for sink in self._sinks:
             sink.start()
         self.viewer = Viewer(port)
@@ -125,6 +174,7 @@ class Soak:
         self._pipeline.flush()
         took_s, took_cpu_s = time.monotonic() - began_s, time.process_time() - began_cpu_s
         self.viewer.leave()
+        self.broker.leave()
         for sink in self._sinks:
             sink.stop(10.0)
         return self._figures(frames, took_s, took_cpu_s)
@@ -145,8 +195,10 @@ class Soak:
             self.robot.kill()
         if self.robot_switched % 8 == LOOKED_AT:
             self.viewer.come()
+            self.broker.come()
         else:
             self.viewer.leave()
+            self.broker.leave()
 
     def _unplug(self) -> None:
         self._pipeline.on_sensor_state(SensorState("down", "unplugged"))
@@ -187,6 +239,7 @@ class Soak:
                 and self._store.lost + self._touch_sink.dropped == 0
                 and all(read_frames(touch).touch.counts.size for touch in kept)
             ),
+            "the pad's state is there whenever a broker comes": self.broker.states == self.broker.times,
             "what became of each message to the robot is known": counts["queued"]
             >= counts["sent"] + counts["dropped"] + counts["stale"] + counts["failed"],
         }
@@ -195,6 +248,7 @@ class Soak:
             "sensor_hours": round(frames / HOUR_FRAMES, 3),
             "frames": frames,
             "bytes_dropped_as_garbage": self._parser.counts.bytes_dropped,
+            "restarts_of_the_board": self._parser.counts.restarts,
             "touches": self.audit.touches,
             "predictions": self.audit.predictions,
             "events": self.audit.events,
@@ -207,6 +261,11 @@ class Soak:
                 **{name: counts[name] for name in ("queued", "sent", "dropped", "stale", "failed")},
             },
             "live_page": {"messages_seen": self.viewer.seen, "frames_skipped": self._live_sink.dropped},
+            "broker": {
+                "came": self.broker.times,
+                "messages_seen": self.broker.seen,
+                "dropped": sum(bridge.dropped for bridge in self._bridges),
+            },
             "touches_kept": len(kept),
             "wrong": list(self.audit.wrong),
             "holds": holds,

@@ -1,6 +1,7 @@
 """The soak's pad, in a separate process, so that its memory is not counted.
 
-Writes a repeating stream with a continuous clock and some garbage to standard output.
+Writes a repeating stream with some garbage to standard output. At times the board restarts: it prints a crash
+log, and its clock begins again.
 """
 
 import os
@@ -11,6 +12,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import numpy as np
+
 from touchd.daemon.config import SensorSettings
 from touchd.daemon.playback.rig import encoder_for
 from touchd.daemon.playback.stream import with_quiet
@@ -20,12 +23,34 @@ from touchd.drivers.recording import Selection, Stream, read_recordings, realign
 
 CHUNK_FRAMES = 20
 GARBAGE_EVERY_CHUNKS = 50
+RESTART_EVERY_CHUNKS = 1000
 PIECE_BYTES = 4096
+CRASH = (
+    b"Guru Meditation Error: Core  1 panic'ed (LoadProhibited)\r\nRebooting...\r\nrst:0xc (SW_CPU_RESET)\r\n"
+)
+PERIOD_MS = round(1000 / FRAME_RATE_HZ)
 GESTURES = ("pat", "stroke", "rub", "scratch", "tickle", "constant")
 
 
 def recorded() -> Stream:
-    """Return HAART's test participants if the folder is set, else ten minutes of a simulated hand."""
+    """Return HAART's test participants if the folder is set, else ten minutes of a simulated hand.
+
+    Touches in passing, of a tenth of a second to half a second, follow.
+    """
+    touching, passing = _touching(), random.Random(3)
+    script = [("notouch", 3.0)]
+    for _ in range(40):
+        script += [
+            (passing.choice(GESTURES), passing.uniform(0.1, 0.5)),
+            ("notouch", passing.uniform(1.2, 3.0)),
+        ]
+    brief = splice(simulate(script, 4))
+    clock_ms = brief.sensor_ms - brief.sensor_ms[0] + touching.sensor_ms[-1] + PERIOD_MS
+    counts = np.concatenate([touching.counts, brief.counts])
+    return Stream(counts, np.concatenate([touching.sensor_ms, clock_ms]), ())
+
+
+def _touching() -> Stream:
     if folder := os.environ.get("TOUCHD_HAART"):
         path = Path(folder) / "testWITHLABELS.csv.gz"
         found = [realign(recording) for recording in read_recordings(path, Selection(covers=("none",)))]
@@ -42,14 +67,17 @@ def line(stream: Stream, settings: SensorSettings) -> Iterator[bytes]:
     """Yield what the pad sends, without end."""
     encode_frame = encoder_for(settings)
     rng = random.Random(2)
-    round_ms = int(stream.sensor_ms[-1] - stream.sensor_ms[0]) + round(1000 / FRAME_RATE_HZ)
     offset_ms, chunks = 0, 0
+    round_ms = int(stream.sensor_ms[-1] - stream.sensor_ms[0]) + PERIOD_MS
     while True:
         for start in range(0, len(stream.counts), CHUNK_FRAMES):
             part = slice(start, start + CHUNK_FRAMES)
-            clock_ms = (stream.sensor_ms[part] + offset_ms).tolist()
             chunks += 1
             garbage = rng.randbytes(rng.randrange(400)) if chunks % GARBAGE_EVERY_CHUNKS == 0 else b""
+            if chunks % RESTART_EVERY_CHUNKS == 0:
+                offset_ms = -int(stream.sensor_ms[start])
+                yield CRASH
+            clock_ms = ((stream.sensor_ms[part] + offset_ms) % 2**32).tolist()
             yield b"".join(map(encode_frame, stream.counts[part], clock_ms)) + garbage
         offset_ms = (offset_ms + round_ms) % 2**32
 
