@@ -3,7 +3,7 @@
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import Generic, TypeVar
 
@@ -51,12 +51,17 @@ class DroppingQueue(Generic[Item]):
 
     def put(self, item: Item) -> None:
         """Add an item; never blocks."""
+        self.put_all((item,))
+
+    def put_all(self, items: Iterable[Item]) -> None:
+        """Add items and wake the reader once, so that it does not wait for this thread in between."""
         with self._lock:
-            if len(self._items) >= self._capacity:
-                index = next((i for i, held in enumerate(self._items) if self._may_drop(held)), 0)
-                del self._items[index]
-                self.dropped += 1
-            self._items.append(item)
+            for item in items:
+                if len(self._items) >= self._capacity:
+                    index = next((i for i, held in enumerate(self._items) if self._may_drop(held)), 0)
+                    del self._items[index]
+                    self.dropped += 1
+                self._items.append(item)
         self._filled.set()
 
     def get(self, timeout_s: float | None = None) -> Item | None:

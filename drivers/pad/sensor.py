@@ -172,8 +172,8 @@ class Sensor:
         if frames and not self._is_up:
             self._is_up = True
             self._queue.put(SensorState("up", f"frames arrive from {self._port}"))
-        for frame in frames:
-            self._queue.put(frame)
+        if frames:
+            self._queue.put_all(frames)
         return bool(frames)
 
     def _rest_from(self, count: int, begun_s: float) -> None:
