@@ -25,6 +25,7 @@ from rigs.made_events import record
 from rigs.made_pad import MadePad, nothing, palm, pat
 from rigs.running_daemon import Daemon
 from rigs.scripted_model import Scripted
+from rigs.soak_line import CRASH
 from rigs.sockets import free_port
 from rigs.wait import wait_for
 from websockets.sync.client import connect
@@ -38,12 +39,14 @@ from touchd.daemon.events import Event
 from touchd.daemon.journal import Journal, JournalSink
 from touchd.daemon.live.server import LiveServer
 from touchd.daemon.log import LogWriter
+from touchd.daemon.monitor import PadMonitor
 from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.daemon.playback.rig import encoder_for
 from touchd.daemon.sinks import EventFanout, RobotSink
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.fakes.stub_robot import StubRobot
-from touchd.drivers.frame import Frame, SensorState
+from touchd.drivers.frame import SensorState
+from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.robot.link import RobotLink
 from touchd.drivers.robot.session import RobotSettings
 
@@ -154,7 +157,9 @@ class World(RuleBasedStateMachine):
         for sink in (*self.fanout.sinks, self.log):
             sink.start()
         clock = Clock(monotonic_s=lambda: self.now_s, epoch_s=lambda: 1795168800.0 + self.now_s)
-        self.pipeline = Pipeline(PipelineSettings(), Scripted(), self.emit, clock)
+        self.parser, self.encode = parser_of(SensorSettings().described), encoder_for(SensorSettings())
+        monitor = PadMonitor(parser=self.parser)
+        self.pipeline = Pipeline(PipelineSettings(), Scripted(), self.emit, clock, monitor=monitor)
 
     def emit(self, event: Event) -> None:
         self.audit.see(event)
@@ -167,7 +172,10 @@ class World(RuleBasedStateMachine):
             self.sent += 1
             self.sensor_ms += PERIOD_MS
             self.now_s += 0.0 if held_up else PERIOD_MS / 1000
-            frame = Frame(self.sent, round(self.sensor_ms) % 2**32, self.now_s, counts)
+            self.arrive(self.encode(counts, round(self.sensor_ms) % 2**32))
+
+    def arrive(self, data: bytes) -> None:
+        for frame in self.parser.feed(data, self.now_s):
             self.pipeline.on_frame(frame)
             self.page.put_frame(frame, 0)
             for bridge in self.bridges:
@@ -190,9 +198,30 @@ class World(RuleBasedStateMachine):
     def clock_jumps(self, jump_ms: int) -> None:
         self.sensor_ms = max(0.0, self.sensor_ms + jump_ms)
 
+    @rule(tap_s=st.floats(0.02, 0.6), pause_s=st.floats(0.02, 2.0), times=st.integers(1, 8))
+    def taps_at_any_rhythm(self, tap_s: float, pause_s: float, times: int) -> None:
+        self.feel(np.concatenate([palm(tap_s), nothing(pause_s)] * times))
+
+    @rule(is_told=st.booleans(), pause_s=st.floats(0.0, 1.9))
+    def the_board_restarts(self, is_told: bool, pause_s: float) -> None:
+        self.arrive(CRASH if is_told else b"")
+        self.now_s += pause_s
+        self.sensor_ms = 7.0
+
+    @rule(share=st.floats(0.1, 0.9))
+    def a_second_reader_takes_bytes(self, share: float) -> None:
+        rng = random.Random(self.sent)
+        for counts in self.pad.counts(palm(1.0)):
+            self.sensor_ms += PERIOD_MS
+            self.now_s += PERIOD_MS / 1000
+            data = self.encode(counts, round(self.sensor_ms) % 2**32)
+            cut = rng.randrange(len(data))
+            self.arrive(data[:cut] if rng.random() < share else data)
+
     @rule()
     def unplug(self) -> None:
         self.pipeline.on_sensor_state(SensorState("down", "unplugged"))
+        self.parser.reset()
         self.sensor_ms = 0.0
         self.pipeline.on_sensor_state(SensorState("up", "back"))
 
@@ -325,6 +354,17 @@ class FaultyDaemon(Daemon):
         name = random.choice(list(PEERS))
         self.peers[name].become(random.choice([None, *PEERS[name]]))
 
+    def read_the_port_too(self) -> None:
+        """Take bytes from a serial pad for a moment."""
+        if not isinstance(self.pad, UdpPad):
+            line = os.open(self.pad.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+            until_s = time.monotonic() + 0.2
+            while time.monotonic() < until_s:
+                with suppress(OSError):
+                    os.read(line, 4096)
+                time.sleep(0.001)
+            os.close(line)
+
     def send_as_a_stranger(self) -> None:
         """Send noise, and half a frame, to a pad's address from another one."""
         if isinstance(self.pad, UdpPad):
@@ -351,6 +391,7 @@ def test_a_process_holds_under_random_faults(tmp_path: Path, seed: int, kind: ty
             daemon.flood_the_page,
             daemon.change_a_peer,
             daemon.send_as_a_stranger,
+            daemon.read_the_port_too,
         ]
         until_s, most_mb = time.monotonic() + 60, 0.0
         while time.monotonic() < until_s:
