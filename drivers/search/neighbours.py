@@ -11,18 +11,17 @@ Numbers = NDArray[np.float64]
 Moved = NDArray[np.float32]
 Cells = NDArray[np.int_]
 
-# Frames that are compared. More took time and changed no decision on the generated pads.
-MOST_FRAMES = 500
-# A frame in which little changes weighs less than one in which much does. With this share of a busy frame's
-# energy, most of the third study's streams were proven (people S08, S11 and S14).
-FEW_CHANGES = 0.05
-PRESS_SHARE = 0.3
-# A number that moves farther than nine of ten cells by this factor is limited to that: it may be a sum.
+# Chosen on the third study's touches by S08, S11 and S14, of which 93 % exceed SURE, and on generated
+# pads. MOST_FRAMES that are compared: 300 to 2000 differ by two points. FEW_CHANGES: the weight of a frame in
+# which nothing moves. PRESS_SHARE: the weight of presses, the rest is that of steps; with 0.1 a finger on 4x4
+# cells is hardly seen, with 0.7 a tenth of the touches.
+MOST_FRAMES, FEW_CHANGES, PRESS_SHARE, SHUFFLES = 500, 0.05, 0.3, 200
+# A number that moves farther than nine of ten cells by this factor is limited to that: it may be a sum. With
+# it, all checksums of the generated formats are told from cells.
 MOST_REACH = 3.0
 # If rows run to and fro, cells move with those below, read backwards, as with those beside them: 0.9 to 1.0
 # times on generated pads, and below 0.5 times on the third study's, which does not.
 BACKWARDS = 0.7
-SHUFFLES = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,11 +54,8 @@ def movement(values: Numbers) -> Moved:
     chosen = thinned(values)
     off = chosen - np.median(chosen, axis=0)
     pressed = np.maximum(-off if falls(chosen) else off, 0)
-    both = np.vstack(
-        [PRESS_SHARE**0.5 * _unit(pressed), (1 - PRESS_SHARE) ** 0.5 * _unit(np.diff(chosen, axis=0))]
-    )
-    moved: Moved = both.astype(np.float32)
-    return moved
+    steps = _unit(np.diff(chosen, axis=0))
+    return np.vstack([PRESS_SHARE**0.5 * _unit(pressed), (1 - PRESS_SHARE) ** 0.5 * steps])
 
 
 def falls(values: Numbers) -> bool:
@@ -69,13 +65,13 @@ def falls(values: Numbers) -> bool:
     return bool(values.min(initial=0) >= 0 and (scaled**3).sum() < 0)
 
 
-def _unit(moved: Numbers) -> Numbers:
+def _unit(moved: Numbers) -> Moved:
     moved = moved - np.median(moved, axis=1, keepdims=True)
     reach = np.sqrt(np.square(moved).mean(axis=0))
     moved *= np.minimum(1.0, MOST_REACH * np.quantile(reach, 0.9) / np.maximum(reach, 1e-30))
     energy = np.square(moved).sum(axis=1, keepdims=True)
     moved /= np.sqrt(energy + max(FEW_CHANGES * float(np.quantile(energy, 0.95)), 1e-30))
-    unit: Numbers = moved / np.maximum(np.sqrt(np.square(moved).sum(axis=0)), 1e-9)
+    unit: Moved = (moved / np.maximum(np.sqrt(np.square(moved).sum(axis=0)), 1e-9)).astype(np.float32)
     return unit
 
 
@@ -106,9 +102,8 @@ def _shared(moved: Moved, one: Cells, other: Cells) -> float:
 
 def is_stride(moved: Moved, columns: int) -> bool:
     """Whether cells at this distance move together more than those a step nearer or farther."""
-    nearer, here, farther = (
-        float((moved[:, :-lag] * moved[:, lag:]).sum()) for lag in (columns - 1, columns, columns + 1)
-    )
+    lags = (columns - 1, columns, columns + 1)
+    nearer, here, farther = (float((moved[:, :-lag] * moved[:, lag:]).sum()) for lag in lags)
     return here > max(nearer, farther)
 
 

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 
 from touchd.drivers.frame import MIN_RATE_HZ
-from touchd.drivers.pad.arrived import is_text, looks_like
+from touchd.drivers.pad.arrived import has_text, is_text, looks_like
 from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.search import binary, text
 from touchd.drivers.search.listen import MOST_BYTES, Chunk
@@ -87,64 +87,47 @@ def arrived_in(chunks: Sequence[Chunk]) -> Arrived:
 def search(chunks: Sequence[Chunk], grid: Grid | None) -> Finding:
     """Search for the description of a pad in its bytes. grid: its rows and columns, if somebody told them."""
     arrived = arrived_in(chunks)
-    if not arrived.data:
+    data, lines = arrived.data, arrived.lines
+    if not data:
         return Finding(None, "is it the pad's port, and does the pad run?", "nothing arrives")
-    saw = f"{len(arrived.data) / arrived.seconds:.0f} bytes/s of {looks_like(arrived.data)}"
+    saw = f"{len(data) / arrived.seconds:.0f} bytes/s of {looks_like(data)}"
     seen = arrived.survey
     grid = grid or (seen.grid if seen else None)
-    if grid is None:
-        no_frames = NO_FRAMES_IN_BYTES if arrived.lines is None else NO_FRAMES_IN_TEXT
-        return Finding(None, f"{seen.frame}; say --grid ROWSxCOLUMNS" if seen else no_frames, saw)
-    fitting = _fitting(arrived, grid)
+    fitting: list[Reading] = []
+    if grid:
+        fitting = list(binary.readings(data, *grid) if lines is None else text.readings(lines, *grid))
+    if not fitting:
+        return Finding(None, _why_none_fits(arrived, seen, grid), saw)
     best = _best([reading for reading in fitting if not is_mixed(reading)])
-    if best is None:
-        return Finding(
-            None, MIXED if fitting else _why_none_fits(arrived, seen, grid), saw, may_come=bool(fitting)
-        )
-    return _proven(best, arrived, saw)
+    return Finding(None, MIXED, saw, may_come=True) if best is None else _proven(best, arrived, saw)
 
 
-def _fitting(arrived: Arrived, grid: Grid) -> list[Reading]:
-    if arrived.lines is None:
-        return list(binary.readings(arrived.data, *grid))
-    return list(text.readings(arrived.lines, *grid))
-
-
-def _why_none_fits(arrived: Arrived, seen: Survey | None, grid: Grid) -> str:
-    if arrived.lines is None:
-        return _unfit(seen, grid) if seen else NO_FRAMES_IN_BYTES
-    if any(frames.changing > text.CHANGING for frames in text.printed(arrived.lines)):
+def _why_none_fits(arrived: Arrived, seen: Survey | None, grid: Grid | None) -> str:
+    if not arrived.data.strip() or has_text(arrived.data):
+        return "print lines of numbers and nothing else"
+    if seen is None:
+        return NO_FRAMES_IN_BYTES if arrived.lines is None else NO_FRAMES_IN_TEXT
+    printed = list(text.printed(arrived.lines or ()))
+    if any(frames.changing > text.CHANGING for frames in printed):
         return CHANGING_WORDS
-    return _unfit(seen, grid) if seen else NO_FRAMES_IN_TEXT
-
-
-def _unfit(seen: Survey, grid: Grid) -> str:
-    return f"{seen.frame}, which do not fit {grid[0]}x{grid[1]} cells; say --grid ROWSxCOLUMNS"
-
-
-@dataclass(frozen=True, eq=False)
-class _Placed:
-    """A reading, how much its neighbours move together, and how much its cells change from frame to frame."""
-
-    reading: Reading
-    together: float
-    roughness: float
-    rank: tuple[float, ...]
+    if grid and printed and max(frames.numbers[0].size for frames in printed) < grid[0] * grid[1]:
+        return NO_FRAMES_IN_TEXT
+    unfit = f", which do not fit {grid[0]}x{grid[1]} cells" if grid else ""
+    return f"{seen.frame}{unfit}; say --grid ROWSxCOLUMNS"
 
 
 def _best(readings: Sequence[Reading]) -> Reading | None:
     """Return the likeliest reading: of the smoothest ones, that in which neighbours move together most."""
     placed = [_placed(reading) for reading in readings]
-    most = max((each.together for each in placed), default=0.0)
-    near = [each for each in placed if each.together >= NEAR * most]
-    least = min((each.roughness for each in near), default=0.0)
-    smooth = (each for each in near if each.roughness <= SMOOTH * least)
-    best = max(smooth, key=lambda each: each.rank, default=None)
-    return None if best is None else best.reading
+    most = max((rank[0] for _, rank, _ in placed), default=0.0)
+    near = [each for each in placed if each[1][0] >= NEAR * most]
+    least = min((roughness for *_, roughness in near), default=0.0)
+    smooth = (each for each in near if each[2] <= SMOOTH * least)
+    return max(smooth, key=lambda each: each[1], default=(None,))[0]
 
 
-def _placed(reading: Reading) -> _Placed:
-    """Rank a reading; cells that are sent column by column are turned."""
+def _placed(reading: Reading) -> tuple[Reading, tuple[float, ...], float]:
+    """Return a reading (turned, if its cells are sent column by column), its rank, and its roughness."""
     values = thinned(reading.values)
     rows, columns = reading.grid
     moved = movement(values)
@@ -152,13 +135,13 @@ def _placed(reading: Reading) -> _Placed:
         rows, columns = columns, rows
         described = msgspec.structs.replace(reading.described, rows=rows, columns=columns)
         reading = replace(reading, described=described)
-    most = together(moved, np.arange(rows * columns).reshape(rows, columns))
     steps = np.abs(np.diff(values, axis=0)).mean(axis=0)
     alive = int((steps > 0).sum())
     # If values are small, both byte orders read the same cells; boards that send are mostly little-endian.
     is_little = reading.described.order == "little"
-    rank = round(most, 4), alive, -float(np.ptp(np.median(values, axis=0))), is_little
-    return _Placed(reading, most, float(steps.sum()) / max(alive, 1), rank)
+    most = round(together(moved, np.arange(rows * columns).reshape(rows, columns)), 4)
+    rank = most, alive, -float(np.ptp(np.median(values, axis=0))), is_little
+    return reading, rank, float(steps.sum()) / max(alive, 1)
 
 
 def _proven(best: Reading, arrived: Arrived, saw: str) -> Finding:
@@ -166,14 +149,12 @@ def _proven(best: Reading, arrived: Arrived, saw: str) -> Finding:
     described = scaled(best)
     rate_hz = len(best.values) / arrived.seconds
     if rate_hz < MIN_RATE_HZ:
-        return Finding(
-            None, f"{rate_hz:.1f} frames/s come; {MIN_RATE_HZ:g} or more are needed", saw, described
-        )
+        too_slow = f"{rate_hz:.1f} frames/s come; {MIN_RATE_HZ:g} or more are needed"
+        return Finding(None, too_slow, saw, described)
     if missing := objection(best) or unscaled(described, best.values):
         return Finding(None, missing, saw, described, may_come=True)
     if arrived.lines is None:
-        times_s = np.repeat([c.host_s for c in arrived.chunks], [len(c.data) for c in arrived.chunks])
-        described = binary.complete(described, arrived.data, times_s)
+        described = binary.complete(described, best, arrived.data, arrived.seconds)
     if missing := unexplained(described, best.values, arrived.chunks):
         return Finding(None, missing, saw, described)
     described = as_preset(described)

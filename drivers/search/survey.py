@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from touchd.drivers.frame import MIN_RATE_HZ
 from touchd.drivers.pad.binary import frame_bytes
 from touchd.drivers.pad.format import LONGEST_SIDE, PRESETS, SHORTEST_SIDE, PadFormat
 from touchd.drivers.pad.protocol import parser_of
@@ -33,9 +34,12 @@ def survey(data: bytes, lines: Sequence[text.TextLine] | None, seconds: float) -
     """Look at what arrived within some seconds; None if it has no frames."""
     if lines is None:
         return _of_bytes(data, seconds)
-    frames = next(iter(text.printed(lines)), None)
-    if frames is None:
+    found = list(text.printed(lines))
+    # Log lines among frames of one line look like separators.
+    fast = [each for each in found if len(each.numbers) >= MIN_RATE_HZ * seconds]
+    if not found:
         return None
+    frames = (fast or found)[0]
     count, height, width = frames.numbers.shape
     cells = int(frames.are_cells.sum()) * height
     if height == 1:

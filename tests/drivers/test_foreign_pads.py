@@ -108,7 +108,7 @@ REFUSED: dict[str, tuple[Printed, str]] = {
         lambda v, n: "".join(f"{line(r, end='')};{r.sum()}\r\n" for r in v) + "\r\n",
         "beside its cells",
     ),
-    "bare rows": (lambda v, n: table(v), "10 numbers a frame, which do not fit"),
+    "bare rows": (lambda v, n: table(v), "empty line"),
     "a shorter last line": (
         lambda v, n: table(v.ravel()[:72].reshape(6, 12)) + line(v.ravel()[72:]) + "\n",
         "",
