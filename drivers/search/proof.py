@@ -167,16 +167,18 @@ def unexplained(described: PadFormat, values: Numbers, chunks: Sequence[Chunk]) 
     expected = {layout.pressure(np.clip(frame, 0, described.full_scale)).tobytes() for frame in values}
     counts, middle_s = parser.counts, chunks[len(chunks) // 2].host_s
     came_s: list[float] = []
-    as_expected = late = 0
+    as_expected = late = held = 0
     for chunk in chunks:
+        held_before = counts.bad_time
         frames = parser.feed(chunk.data, chunk.host_s)
         as_expected += sum(frame.pressure.tobytes() in expected for frame in frames)
         late += len(frames) * (chunk.host_s > middle_s)
+        held += (counts.bad_time - held_before) * (chunk.host_s > middle_s)
         came_s += [chunk.host_s] * (counts.frames + counts.duplicates + counts.bad_time - len(came_s))
     if as_expected < MOSTLY * counts.frames or not came_s:
         return "touchd's parser reads other cells: a header occurs among them"
     # A number that is taken for a clock holds frames back, at first only if it is one.
-    if late < EXPLAINED * sum(at_s > middle_s for at_s in came_s):
+    if late < max(EXPLAINED * (late + held), sum(at_s > middle_s for at_s in came_s) / 2):
         return "its first number is taken for a clock, but jumps: print it after the cells"
     read = len(came_s) / max(len(came_s) + counts.bad - counts.bad_time - 1, len(values))
     if read < EXPLAINED:
