@@ -18,9 +18,9 @@ A later frame decides:
 So a real reset delays the first frame by one frame time and loses none, even with damaged frames in between.
 A restart within 250 ms of the last one cannot be detected.
 
-If a clock that was followed for a second steps back, the board has restarted. Its frames are then dated on
-from the last frame before, by how much later they arrived: a touch may go on, and rest stays known. A clock
-that steps back sooner, as when two boards send on one line, is delivered as it is.
+If a clock that was followed for a quarter of a second steps back, the board has restarted. Its frames are
+then dated on from the last frame before, by how much later they arrived: a touch may go on, and rest stays
+known. A clock that also jumps ahead, as when two boards send on one line, is delivered as it is.
 """
 
 import math
@@ -48,8 +48,8 @@ NOT_USED = "; it is not used, and frames are dated by their arrival"
 # Below 256 ms: a flipped bit that the checksum cannot see moves the clock by at least that.
 MAX_STEP_MS = 250
 MAX_HELD = 8
-# A clock that was followed for this long before it steps back has restarted.
-FOLLOWED_S = 1.0
+# A clock that was followed for this long before it steps back has restarted, unless it jumped ahead lately.
+FOLLOWED_S, LATELY_S = 0.25, 60.0
 
 
 class FrameClock:
@@ -196,6 +196,7 @@ class ClockCheck:
         # When the clock that is followed was first seen, and what to add to it after restarts.
         self._since_s = 0.0
         self._ahead_ms = 0
+        self._jumped_s = -math.inf
 
     def reset(self) -> None:
         """Forget the clock: the port was reopened, and the sensor may have restarted."""
@@ -237,9 +238,11 @@ class ClockCheck:
     def _follow(self, first: Reading) -> None:
         """Follow another clock from this frame on; after a restart, date it by arrival."""
         last, since_s, self._since_s = self._last, self._since_s, first.host_s
-        if last is None or first.host_s - since_s < FOLLOWED_S:
+        if last is None:
             return
-        if (first.sensor_ms - last.sensor_ms) % CLOCK_MODULUS > CLOCK_MODULUS // 2:
+        if (first.sensor_ms - last.sensor_ms) % CLOCK_MODULUS < CLOCK_MODULUS // 2:
+            self._jumped_s = first.host_s
+        elif first.host_s - since_s >= FOLLOWED_S and first.host_s - self._jumped_s >= LATELY_S:
             later_ms = max(1, round(1000 * (first.host_s - last.host_s)))
             self._ahead_ms += last.sensor_ms + later_ms - first.sensor_ms
             self._counts.restarted(first.host_s)

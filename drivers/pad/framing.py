@@ -21,7 +21,8 @@ class ProtocolCounts:
     header, garbage, a malformed line). bad_checksum, bad_value (a float that is not a number), bad_time
     (disagrees with the sensor's clock): frames refused for that. duplicates: frames that repeat a clock
     already taken. clipped: frames delivered whose values above full scale were cut to it. bytes_dropped:
-    bytes that belong to no well-formed frame. restarts: of the board, at `restarted_s` the last time.
+    bytes that belong to no well-formed frame. restarts: of the board, at most one in ONE_RESTART_S, at
+    `restarted_s` the last time.
     """
 
     frames: int = 0
@@ -47,8 +48,9 @@ class ProtocolCounts:
 
     def restarted(self, host_s: float) -> None:
         """Count a restart of the board that was noticed at `host_s`."""
-        self.restarts += host_s - self.restarted_s > ONE_RESTART_S
-        self.restarted_s = host_s
+        if host_s - self.restarted_s > ONE_RESTART_S:
+            self.restarts += 1
+            self.restarted_s = host_s
 
 
 class Reading(NamedTuple):
