@@ -37,9 +37,20 @@ NORMAL_30 = 0.385
 # A hand moves cells one way, and the other way by less than this share: by 0.54 at most in these streams.
 # Signed values count from rest, so a hand that stays longer does not hide that.
 BOTH_WAYS, SELDOM_AT_REST = 0.6, 0.25
-# If fewer cells than this share have a fraction, or more numbers than this beside the cells are pressed, as a
-# total and a centre are, others are among them. The rest as in 240 generated formats.
-FEW, MOST_FOLLOWING, LASTS, ALWAYS, FEW_LEAPS, WRAP, TURNS = 0.2, 4, 0.5, 0.1, 0.3, 192, 0.8
+# The following were chosen on 240 generated formats, which they tell apart.
+# Other numbers are among the cells if fewer than this share have a fraction, or if more than this many beside
+# them are pressed (a total, a mean and a centre make four).
+FEW, MOST_FOLLOWING = 0.2, 4
+# A pressed number keeps this share of its movement from one frame to the next; a checksum does not.
+LASTS = 0.5
+# If all cells change in more frames than this share, one that never changes is no cell.
+ALWAYS = 0.1
+# Two bytes are no number if more steps than this share are leaps of the upper byte alone: 0.07 by chance.
+FEW_LEAPS = 0.3
+# A byte that wraps steps by more than this.
+WRAP = 192
+# Two kinds of frames come by turns if the frame after next is nearer than the next by this factor.
+TURNS = 0.8
 FULL_SCALES, ROUND = (1023, 4095, 65535), (1, 2, 5, 10)
 # A configuration takes no larger full_scale; a parser cannot divide by a smaller one.
 SMALLEST_SCALE, LARGEST_SCALE = 1e-30, 4e9

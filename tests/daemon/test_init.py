@@ -71,6 +71,24 @@ def test_the_pads_port_and_baud_rate_are_found(monkeypatch: pytest.MonkeyPatch) 
         write()
 
 
+@pytest.mark.parametrize("typed", ["16", "3x8", "8x65", "x", "8x8x8"])
+def test_a_grid_that_is_none_is_refused(typed: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        write("--grid", typed)
+    assert "is not ROWSxCOLUMNS of 4 to 64 each, as in 16x16" in capsys.readouterr().err
+
+
+def test_without_a_terminal_the_grid_has_to_be_told(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(hand, "LISTEN_S", 2.0)
+    printed = PadFormat(framing="text", rows=12, columns=10)
+    with FakePort(STREAM, encoder_for(SensorSettings(format=printed)), loop=True) as pad:
+        assert write("--port", pad.path) == 1
+    assert "120 numbers a frame; say --grid ROWSxCOLUMNS" in capsys.readouterr().err
+    assert not FILE.exists()
+
+
 @needs_third_study
 def test_a_coarse_pad_is_found_told_its_grid() -> None:
     touches = [each for _, touched, each in third_study("S15") if touched]
