@@ -156,6 +156,9 @@ class Pipeline:
         touch = self._touch
         if touch is None:
             return True
+        if 0 < touch.off_frames <= AFTER_FRAMES:
+            # The answer to a touch whose hand has left comes soon.
+            return False
         over = touch.length - self._final_frames
         until_due = touch.due[0][0] - touch.length if touch.due else -over % ONGOING_STRIDE_FRAMES
         return until_due > UNHURRIED_FRAMES and not touch.waits_until_sure
@@ -195,7 +198,7 @@ class Pipeline:
             self._touch.length = frame.index + 1 - self._touch.first_index
             self._touch.off_frames = frame.index - self._tracker.last_contact_index
             self._touch.degraded |= frame.bridged
-            self._touch.meter.add(self._frames(frame.index + 1, 1)[0])
+            self._touch.meter.add(self._tracker.without_loose_wire(frame.pressure))
             self._feed(self._touch)
             if self._touch.off_frames <= LIFT_OFF_FRAMES:
                 self._answer_what_is_due(self._touch, frame)

@@ -38,8 +38,9 @@ class FrameParser(ABC):
         """Take bytes that arrived at `host_s` (monotonic seconds); return the frames they completed."""
         latest = self._tail + data
         self._tail = latest[1 - LONGEST_MARK :]
-        if any(mark in latest for mark in BOOT_LOG):
-            self.counts.restarted(host_s)
+        for mark in BOOT_LOG:
+            if mark in latest:
+                self.counts.restarted(host_s)
         readings = self._parse(data, host_s)
         first = self.counts.frames
         self.counts.frames += len(readings)
