@@ -25,8 +25,9 @@ from touchd.drivers.search.neighbours import (
 # The parser has to read this share of what came, and most of what it reads are the cells that were found.
 EXPLAINED, MOSTLY = 0.98, 0.9
 FASTEST_HZ = 525.0
-# Frames come evenly if no second has fewer or more than usual by this factor.
-UNEVEN = 3.0
+# Frames come evenly if no part of the time has fewer or more than usual by this factor, and no longer pause.
+# The third study's streams do, with their gaps.
+PARTS, UNEVEN, LONGEST_PAUSE_S = 8, 3.0, 1.5
 # Neighbours exceed shuffled cells by this many standard deviations: 93 % of the third study's touches do (by
 # S08, S11 and S14), and 1 % of their shuffled cells.
 SURE = 2.5
@@ -197,7 +198,8 @@ def unexplained(described: PadFormat, values: Numbers, chunks: Sequence[Chunk]) 
     seconds = chunks[-1].host_s - chunks[0].host_s
     if len(came_s) > FASTEST_HZ * seconds:
         return f"{len(came_s) / max(seconds, 1e-3):.0f} frames/s come; {MIN_RATE_HZ:g} to 500 are needed"
-    a_second, _ = np.histogram(came_s, max(int(seconds), 1), (chunks[0].host_s, chunks[-1].host_s))
-    if UNEVEN * a_second.min() < np.median(a_second) or a_second.max() > UNEVEN * np.median(a_second):
+    parts, _ = np.histogram(came_s, PARTS, (chunks[0].host_s, chunks[-1].host_s))
+    is_uneven = UNEVEN * parts.min() < np.median(parts) or parts.max() > UNEVEN * np.median(parts)
+    if is_uneven or np.diff(came_s).max(initial=0) > LONGEST_PAUSE_S:
         return "frames do not come at a steady rate, or only while the pad is pressed"
     return ""
