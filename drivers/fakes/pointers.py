@@ -45,15 +45,21 @@ MOVING_SPEED = 1.2
 PAUSE_S, SINK_S = 0.25, 0.35
 # Time constant with which a moving hand presses more.
 DWELL_S = 0.45
-# A button closes before a hand would land: it lands as soon as the pointer has moved this far, in taxels, or
-# after this many frames, or when the button opens. If it has not moved, it strikes: the load of the following
-# frames, as shares of the peak.
+# A button closes before a hand would land: it lands once the pointer has moved by LANDS_AFTER taxels, after
+# LANDS_WITHIN frames, or when the button opens. A hand that has not moved then strikes: the load of the
+# following frames, as shares of the peak.
 LANDS_AFTER, LANDS_WITHIN = 0.1, 5
 STRIKE = (0.6, 1.0, 0.45, 0.25, 0.1)
+# A strike is mostly the fingers': recorded pats are 1.1 taxels long and 1.65 across.
+STRIKE_ROLLED = 0.7
 # Share of a strike's load that spreads the hand: a strike is over before the skin has given way.
 STRIKE_SPREADS = 0.3
-# A hand that moves as it lands turns into its way up to this frame.
-AIMED_FRAME = 6
+# A hand that moves as it lands turns into its way up to this frame. People lay it along the pad's sides,
+# askew by this angle in radians.
+AIMED_FRAME, ASKEW = 6, 0.15
+# A stroking hand has rolled from its palm onto its fingers after ROLLED_WAY taxels: recorded strokes begin
+# 1.5 taxels wide along their way and end 1.1 wide. A hand that comes back by TURN taxels lies flat again.
+ROLLED_WAY, TURN, ROLL_SHARE = 4.0, 0.5, 0.2
 # Fingertips that pull or go back at this speed, in taxels a second, press more or less by the second share.
 PULL_SPEED, PULL_SHARE = 8.0, 0.6
 # Deviation of a press's load from that of others, and of its parts' from each other, as logarithms.
@@ -62,8 +68,9 @@ FIRMNESS, UNEVENNESS = 0.25, 0.5
 # for each part, and the share that the next frame keeps. The same for the tremor of one that rests.
 SLIP, SLIP_OF_PART, SLIP_KEPT = 0.05, 0.5, 0.5
 TREMOR, TREMOR_KEPT = 0.05, 0.98
-# Below this share of its radius at rest, a part would fall between the taxels.
-LEAST_RADIUS = 0.4
+# A part touches more of the pad the deeper it sinks in: its radius grows with this power of the depth. Below
+# LEAST_RADIUS of its radius at rest it would fall between the taxels.
+SPREADS, LEAST_RADIUS = 0.2, 0.4
 
 
 class Pointer(NamedTuple):
@@ -105,7 +112,7 @@ FINGERTIP = Part(0.0, 0.0, 0.6, 1.0)
 FINGERTIPS = tuple(FINGERTIP._replace(across=place) for place in fingers(4))
 # Part of these loads lies below the noise: each taxel's reading counts from three above its rest.
 SHAPES: Mapping[Size, Shape] = {
-    "hand": Shape(PALM_AND_FINGERS, 250.0, 40.0, 70.0, 280.0, 1800.0, pulls=False),
+    "hand": Shape(PALM_AND_FINGERS, 290.0, 40.0, 70.0, 280.0, 1800.0, pulls=False),
     "fingertips": Shape(FINGERTIPS, 240.0, 30.0, 80.0, 320.0, 600.0, pulls=True),
     "finger": Shape((FINGERTIP,), 60.0, 8.0, 20.0, 80.0, 150.0, pulls=True),
 }
@@ -149,9 +156,13 @@ class _Press:
         self._shares = self._parts[:, 3] * self._parts[:, 2] ** 2 * rng.lognormal(0.0, UNEVENNESS, count)
         self._shares /= self._shares.sum()
         self._firmness = rng.lognormal(0.0, FIRMNESS)
-        self._heading = -np.pi / 2 + rng.normal(0.0, 0.3)
+        self._askew = rng.normal(0.0, ASKEW)
+        self._heading = -np.pi / 2 + self._askew
         self._at = self._begun = np.array([pointer.row, pointer.column])
         self._velocity = np.zeros(2)
+        # The largest distance from where it landed; how far it has rolled onto its fingers, 0 to 1.
+        self._way = self._rolled = 0.0
+        self._has_turned = False
         # Frames before and since it has landed.
         self._hovered = self._frames = 0
         self._load = self._strike = self._still_s = 0.0
@@ -183,6 +194,7 @@ class _Press:
             return np.zeros((ROWS, COLUMNS))
         self._press(strikes=not has_moved)
         self._aim()
+        self._roll()
         self._load += LOAD_SHARE * (self._wanted(pointer) - self._load)
         return self._pressure()
 
@@ -195,14 +207,24 @@ class _Press:
         return self._pressure()
 
     def _aim(self) -> None:
-        """Turn a hand that moves as it lands into its way: fingers side by side, the palm ahead."""
+        """Turn a hand that moves as it lands into its way, by quarters: fingers abreast, the palm ahead."""
         if self._frames <= AIMED_FRAME and self._speed:
-            self._heading = float(np.arctan2(-self._velocity[0], -self._velocity[1]))
+            quarters = np.arctan2(-self._velocity[0], -self._velocity[1]) / (np.pi / 2)
+            self._heading = float(np.pi / 2 * np.rint(quarters) + self._askew)
+
+    def _roll(self) -> None:
+        """Roll from the palm onto the fingers along a stroke, and back once the hand comes back."""
+        way = float(np.hypot(*(self._at - self._begun)))
+        self._way = max(self._way, way)
+        self._has_turned = self._has_turned or way < self._way - TURN
+        wanted = 0.0 if self._has_turned or not self._speed else min(1.0, self._way / ROLLED_WAY)
+        self._rolled += ROLL_SHARE * (wanted - self._rolled)
 
     def _press(self, *, strikes: bool) -> None:
         """Go on by a frame; in the first one, land. strikes: how it lands."""
         if self._frames == 0 and strikes:
             self._strikes = [self._shape.strike * share for share in STRIKE]
+            self._rolled = STRIKE_ROLLED
         self._strike = self._strikes.pop(0) if self._strikes else 0.0
         self._frames += 1
 
@@ -232,11 +254,11 @@ class _Press:
         uneven = np.exp(whole * self._noise[0] + of_part * self._noise[1:])
         # Force grows with the square of the depth.
         each = self._on**2 * self._firmness * uneven
-        loads = (self._load + self._strike) * self._shares * each
-        # A soft part touches more of the pad the deeper it sinks in.
+        shares = self._shares * np.where(self._parts[:, 0] < 0.0, 1.0 - self._rolled, 1.0)
+        loads = (self._load + self._strike) * shares / shares.sum() * each
         depth = np.sqrt((self._load + STRIKE_SPREADS * self._strike) * each / self._shape.still)
         along, across, radius = self._parts[:, 0], self._parts[:, 1], self._parts[:, 2]
-        radius = radius * np.maximum(np.sqrt(depth), LEAST_RADIUS)
+        radius = radius * np.maximum(depth**SPREADS, LEAST_RADIUS)
         sine, cosine = np.sin(self._heading), np.cos(self._heading)
         row = self._at[0] + along * sine + across * cosine
         column = self._at[1] + along * cosine - across * sine
