@@ -59,8 +59,8 @@ SHOWN_STRIDE_FRAMES = 3
 # Frames of a touch given to the network at once. A step of nine frames takes 0.25 ms longer than a step of
 # one; steps of nine take half the processor time of steps of three.
 FEED_FRAMES = 9
-# More than twice the frames that a reader takes at once: some wait in the queue, and as many are coming.
-UNHURRIED_FRAMES = 10
+# Twice the frames that a reader takes at once: as many may wait in the queue as are coming.
+UNHURRIED_FRAMES = 8
 
 Viewers: TypeAlias = Callable[[], Sequence[Callable[[LivePrediction], None]]]
 
@@ -156,8 +156,8 @@ class Pipeline:
         touch = self._touch
         if touch is None:
             return True
-        if 0 < touch.off_frames <= AFTER_FRAMES:
-            # The answer to a touch whose hand has left comes soon.
+        if touch.due and 0 <= AFTER_FRAMES - touch.off_frames <= UNHURRIED_FRAMES:
+            # The hand may have left, and the answer to that comes soon.
             return False
         over = touch.length - self._final_frames
         until_due = touch.due[0][0] - touch.length if touch.due else -over % ONGOING_STRIDE_FRAMES
