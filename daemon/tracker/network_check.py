@@ -25,6 +25,8 @@ DOUBT = 0.2
 # this share of it. Below the second constant, the network does not know the pad at rest and is ignored.
 REST_SHARE = 0.6
 KNOWN_REST = 0.2
+# Above this, it knows the pad as well as HAART's and the robot's, whose p_no_touch at rest is 0.8 to 0.9.
+WELL_KNOWN_REST = 0.75
 # Shares by which p_no_touch at rest follows higher and lower answers: more slowly down, since they may come
 # from an unnoticed touch.
 RISES, FALLS = 0.1, 0.05
@@ -51,6 +53,11 @@ class NetworkCheck:
     def knows_rest(self) -> bool:
         """Whether the network recognises this pad at rest as untouched."""
         return self._at_rest is not None and self._at_rest >= KNOWN_REST
+
+    @property
+    def knows_well(self) -> bool:
+        """Whether the network knows this pad as well as those that it learned from."""
+        return self._at_rest is not None and self._at_rest >= WELL_KNOWN_REST
 
     def forget_rest(self) -> None:
         """Forget the answers at rest: it may be another pad."""

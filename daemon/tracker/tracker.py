@@ -16,6 +16,7 @@ A gap in the frames ends a touch. After a long gap, or with another sensor, rest
 figures behind the numbers are in docs/sessions.md.
 """
 
+import math
 from dataclasses import dataclass, field
 from typing import Annotated, TypeAlias
 
@@ -50,6 +51,8 @@ LIFTED_COUNTS = 10.0
 # rule, there is one more false touch in ten minutes on the robot.
 RESTLESS_FACTOR = 1.5
 RESTLESS_KEPT = 0.999
+# It is at most this: a hug that begins slowly, or leaves slowly, would otherwise hide itself and the next.
+MOST_RESTLESS = 20.0
 # After a touch, the peak of two quiet seconds (a breath) replaces the peak from when the hand left.
 LEAVING_FRAMES = 108
 # On a quiet pad the network is asked about the last two thirds of a second, else about the last second.
@@ -76,16 +79,25 @@ MOST_NO_TOUCH = 0.5
 # A quarter of a second after a rise has gone, the network is asked whether it was a touch. Without this rule,
 # 13 of 35 single pats of HAART are missed: they are light, or lift the whole pad as drift does.
 GONE_FRAMES = 13
+# Contact that rises by this factor within a second does not become rest: it is a slow press.
+RISING = 1.2
 # A touch is dated back to the start of the unbroken run of frames in which its taxels exceed rest by this.
 # Without this rule, 3 % fewer touches of the breathing robot are right.
 BACKDATE_COUNTS = 1.0
 
 # Touched.
-# Contact below which the pad is quiet.
-RELEASE_COUNTS = 4.0
-# Low: below this share of the touch's highest level, or below the contact of a hand at rest.
-LOW_SHARE = 0.35
-LOW_COUNTS = 80.0
+# Contact that is low and does not rise is what the hand has left: a fold, a material that creeps. Low: below
+# this share of the touch's highest half second, less half a light hand. Without this rule, a firm pad's
+# touches are merged over six times as many pauses.
+LOW_SHARE = 0.5
+# It rises if it exceeds its lowest by this share of the touch's highest half second, and by more than noise.
+RISE_SHARE, RISE_COUNTS = 0.1, 6.0
+# What a light hand makes. The network is asked about quiet frames with less, on a pad that it knows well
+# about others too.
+LIGHT_COUNTS = 80.0
+# On a pad that the network knows well, it decides what contact remains, unless the touch was a hug: without
+# this, 3 % more of the robot's touches are split. Elsewhere what a hug leaves looks like a hand to it.
+HUG_COUNTS = 1000.0
 # A taxel is still if the means of its half seconds differ by at most this, its sway, or what noise explains,
 # and its noise is at most MAX_SPREAD_COUNTS or a share of the load: a load with 2 % of noise is still.
 STILL_COUNTS = 0.9
@@ -180,12 +192,14 @@ class Touched:
     """An ongoing touch.
 
     first, last: the first frame, and the last with contact. highest_level: the largest contact of a half
-    second. still_frames: for how many frames the pad has kept still.
+    second. lowest_level: the least contact since `last`. still_frames: for how many frames the pad has kept
+    still.
     """
 
     first: int
     last: int
     highest_level: float = 0.0
+    lowest_level: float = math.inf
     still_frames: int = 0
 
 
@@ -204,7 +218,7 @@ class TouchTracker:
         self.baseline = Baseline()
         self._settings = settings
         self._quiet_frames = round(settings.quiet_s * FRAME_RATE_HZ)
-        self._release_counts = min(settings.onset_threshold, RELEASE_COUNTS)
+        self._release_counts = min(settings.onset_threshold, ONSET_COUNTS)
         self._network = NetworkCheck(
             None if p_no_touch is None else lambda frames: p_no_touch(frames, self.baseline.counts)
         )
@@ -309,8 +323,9 @@ class TouchTracker:
         if contact >= self._onset_counts:
             self._state = Maybe(quiet, self._index, self._index, smooth)
             return self._weigh(self._state)
-        self._restless = max(self._restless * RESTLESS_KEPT, contact)
-        quiet.peak = max(quiet.peak, contact)
+        self._restless *= RESTLESS_KEPT
+        self._learn_restless(contact)
+        quiet.peak = max(quiet.peak, min(contact, MOST_RESTLESS))
         if quiet.frames == LEAVING_FRAMES:
             self._restless = quiet.peak
         quiet.frames += 1
@@ -318,6 +333,9 @@ class TouchTracker:
         sunken = beyond_one_wire(self._above(-rise))
         self._follow_rest(quiet, is_shifted=drift > LIFTED_COUNTS or sunken >= self._settings.onset_threshold)
         return self._ask_at_rest(quiet)
+
+    def _learn_restless(self, peak: float) -> None:
+        self._restless = max(self._restless, min(peak, MOST_RESTLESS))
 
     def _follow_rest(self, quiet: Quiet, *, is_shifted: bool) -> None:
         """Calibrate again if the pad reads less than at rest, or evenly more; otherwise learn its sway."""
@@ -367,9 +385,9 @@ class TouchTracker:
         if waited and (brief := self._brief_touch(beyond_one_wire(self._above(rise)))) is not None:
             return brief
         if self._index - maybe.last >= CALIBRATION_FRAMES:
-            self._restless = max(self._restless, maybe.highest)
+            self._learn_restless(maybe.highest)
             self._state = maybe.quiet
-        elif waited >= SECOND_FRAMES:
+        elif waited >= SECOND_FRAMES and not self._is_rising():
             self._calibrate(maybe.quiet)
         return None
 
@@ -417,17 +435,13 @@ class TouchTracker:
 
     def _hold(self, touch: Touched) -> Release | None:
         quiet_frames = self._index - touch.last
-        has_returned = False
-        if float(self._above(self._smooth() - self.baseline.counts).sum()) >= max(
-            self._release_counts, self._restless
-        ):
-            has_returned = quiet_frames > 1
-            touch.last = self._index
+        level = self._level(self._smooth())
+        is_contact = self._is_contact(touch, level)
+        if is_contact:
+            touch.last, touch.lowest_level = self._index, level
         elif quiet_frames >= self._quiet_frames:
-            # If `quiet_s` is short, ask about the quiet frames alone.
-            asked = self._recent.last(min(quiet_frames, GLANCE_FRAMES))
-            if len(asked) < LEAST_ASKED_FRAMES or not self._network.sees_touch(asked, MOST_NO_TOUCH):
-                return self._end(touch, "released")
+            if not self._sees_light_touch(touch, level, quiet_frames):
+                return self._end_at_residue(touch, level)
             touch.last = self._index - self._quiet_frames + ASK_FRAMES
         elif self._quiet_frames > SECOND_FRAMES:
             # Wait for a `quiet_s` that is longer than the second checked below.
@@ -437,8 +451,29 @@ class TouchTracker:
         if self._index - touch.first >= LONGEST_FRAMES:
             return self._end_at_new_rest(touch, "longest")
         if self._is_time_to_check and self._index - touch.first >= SECOND_FRAMES:
-            return self._check_end(touch, may_ask=not has_returned)
+            return self._check_end(touch, may_ask=not is_contact or quiet_frames <= 1)
         return None
+
+    def _is_contact(self, touch: Touched, level: float) -> bool:
+        """Whether the hand makes this contact, rather than having left it behind."""
+        if self._is_time_to_check:
+            _, newer = self._recent.halves()
+            touch.highest_level = max(touch.highest_level, self._level(newer))
+        touch.lowest_level = min(touch.lowest_level, level)
+        is_judged = touch.highest_level >= HUG_COUNTS or not self._network.knows_well
+        is_low = is_judged and level < LOW_SHARE * (touch.highest_level - LIGHT_COUNTS / 2)
+        is_rising = level > touch.lowest_level + max(RISE_COUNTS, RISE_SHARE * touch.highest_level)
+        return level >= self._quiet_counts and (is_rising or not is_low)
+
+    def _level(self, pressure: Taxels) -> float:
+        return float(self._above(pressure - self.baseline.counts).sum())
+
+    def _sees_light_touch(self, touch: Touched, level: float, quiet_frames: int) -> bool:
+        """Ask the network about the quiet frames; if `quiet_s` is short, about no others."""
+        asked = self._recent.last(min(quiet_frames, GLANCE_FRAMES))
+        is_light = level < LIGHT_COUNTS and touch.highest_level < HUG_COUNTS
+        may_ask = (is_light or self._network.knows_well) and len(asked) >= LEAST_ASKED_FRAMES
+        return may_ask and self._network.sees_touch(asked, MOST_NO_TOUCH)
 
     def _check_end(self, touch: Touched, *, may_ask: bool) -> Release | None:
         """End the touch if the pad shows that nobody touches it, even above its baseline.
@@ -447,13 +482,11 @@ class TouchTracker:
         """
         older, newer = self._recent.halves()
         change, rise = np.abs(newer - older), newer - self.baseline.counts
-        level = float(self._above(rise).sum())
-        touch.highest_level = max(touch.highest_level, level)
         is_still = self._is_still(change, self._recent.spread(), rise)
         touch.still_frames = touch.still_frames + CHECK_FRAMES if is_still else 0
         # The whole pad may have drifted by as much as its lightest quarter rose.
         drift = max(float(np.sort(rise)[TAXELS // 4]), 0.0)
-        low = max(LOW_SHARE * touch.highest_level, LOW_COUNTS)
+        low = max(LOW_SHARE * touch.highest_level, LIGHT_COUNTS)
         if not is_still and float(self._above(rise - drift).sum()) > low:
             self._network.forget_answers()
         elif may_ask and (self._index - touch.first) % ASK_FRAMES < CHECK_FRAMES:
@@ -461,8 +494,9 @@ class TouchTracker:
             self._network.follow_touch(self._recent.last(SECOND_FRAMES))
 
         # Low and still; only the network may see a light touch that keeps still.
+        level = self._level(newer)
         is_left = level <= low and touch.still_frames >= STILL_FRAMES
-        if is_left and level < LOW_COUNTS:
+        if is_left and level < LIGHT_COUNTS:
             is_left = not self._network.sees_touch(self._recent.last(SECOND_FRAMES), DOUBT)
         if is_left or self._network.ends_touch:
             over_frames = max(touch.still_frames, SECOND_FRAMES if self._network.ends_touch else 0)
@@ -476,6 +510,18 @@ class TouchTracker:
         noise = np.maximum(LOAD_NOISE * rise, MAX_SPREAD_COUNTS)
         return bool((change <= np.maximum(allowed, STILL_COUNTS)).all() and (spread <= noise).all())
 
+    def _end_at_residue(self, touch: Touched, level: float) -> Release:
+        """End the touch; what it left above the baseline is the new rest."""
+        is_rest = level < self._quiet_counts
+        if not is_rest and self._network.sees_touch(self._recent.last(SECOND_FRAMES), TOUCH):
+            # The network takes what is left for a hand, and would begin the touch again.
+            self._network.forget_rest()
+        release = self._end(touch, "released")
+        if not is_rest:
+            # A hand that leaves would be learned as noise.
+            self.baseline.shift(self._recent.last(CALIBRATION_FRAMES))
+        return release
+
     def _end_at_new_rest(self, touch: Touched, reason: EndReason) -> Release:
         """End the touch, and take the current readings as rest."""
         if reason != "released" or self._network.sees_touch(self._recent.last(SECOND_FRAMES), TOUCH):
@@ -487,7 +533,8 @@ class TouchTracker:
         self.baseline.track_sway(np.abs(newer - older))
         frames = self._recent.last(SECOND_FRAMES)
         smooth = _median(frames[2:], frames[1:-1], frames[:-2])
-        self._restless = max(beyond_one_wire(each) for each in self._above(smooth - self.baseline.counts))
+        self._restless = 0.0
+        self._learn_restless(max(map(beyond_one_wire, self._above(smooth - self.baseline.counts))))
         return release
 
     def _end(self, touch: Touched, reason: EndReason) -> Release:
@@ -505,6 +552,16 @@ class TouchTracker:
     @property
     def _onset_counts(self) -> float:
         return max(self._settings.onset_threshold, RESTLESS_FACTOR * self._restless)
+
+    @property
+    def _quiet_counts(self) -> float:
+        """Contact below which nothing touches the pad."""
+        return max(self._release_counts, self._restless)
+
+    def _is_rising(self) -> bool:
+        """Whether contact has risen by a fifth within the last second, as in a slow press."""
+        older, newer = (self._above(half - self.baseline.counts).sum() for half in self._recent.halves())
+        return bool(newer > RISING * older)
 
     def _smooth(self) -> Taxels:
         frames = self._recent.last(SMOOTH_FRAMES).copy()

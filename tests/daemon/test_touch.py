@@ -77,7 +77,7 @@ def test_a_gentle_beginning_is_dated_to_its_first_counts(pad: TrackedPad) -> Non
 
 
 def test_a_hand_that_eases_off_does_not_end_the_touch(pad: TrackedPad) -> None:
-    onset, release = pad.touched(palm(2.0, counts=200.0), palm(8.0, counts=100.0), 2.0)
+    onset, release = pad.touched(palm(2.0, counts=200.0), palm(8.0, counts=120.0), 2.0)
     assert release.last_index - onset.first_index == 10 * 54 - 1
 
 
@@ -238,6 +238,31 @@ def test_a_touch_ends_despite_shifted_rest_or_noise(
     assert isinstance(pad.feel(disturbed(fold(0.2) + palm(0.2, counts=40.0)))[0], Onset)
 
 
+def residue(seconds: float, counts: float) -> Scans:
+    """What a hug leaves on a soft pad: a tenth of it, which creeps back slowly."""
+    frames = np.arange(round(54 * seconds), dtype=np.float32)
+    return palm(seconds, counts, trembling=False) * np.exp(-frames / 200)[:, None, None]
+
+
+def test_hugs_that_leave_a_residue_stay_separate(pad: TrackedPad) -> None:
+    for _ in range(5):
+        began = pad.index
+        onset, release = pad.touched(palm(2.0, counts=300.0), residue(2.0, 60.0))
+        assert abs(onset.first_index - began) <= 2
+        assert abs(release.last_index - onset.first_index - 108) <= 9
+
+
+def test_a_slow_press_is_a_touch(pad: TrackedPad) -> None:
+    rising = np.linspace(0, 150, 8 * 54, dtype=np.float32)[:, None, None]
+    pad.touched(at(nothing(8.0), slice(2, 5), slice(3, 6), rising), 2.0)
+
+
+def test_light_touches_after_a_slow_hug_are_detected(pad: TrackedPad) -> None:
+    leaving = np.linspace(200, 0, 4 * 54, dtype=np.float32)[:, None, None]
+    pad.touched(palm(2.0, counts=200.0), at(nothing(4.0), slice(2, 5), slice(3, 6), leaving), 3.0)
+    pad.touched(palm(1.0), 2.0)
+
+
 def test_presses_that_shift_the_rest_stay_separate(pad: TrackedPad) -> None:
     for press in range(8):
         pad.touched(fold(1.5, 5.0 * press) + pat(1.5, counts=120.0), fold(3.0, 5.0 * (press + 1)))
@@ -362,7 +387,9 @@ def test_a_hand_below_the_default_threshold_keeps_its_touch() -> None:
     assert pad.feel(2.0) == []
     noise_floor = float(pad.tracker.baseline.noise_floor.max())
     swell = np.where(np.arange(4 * 54) % 54 < 27, 1.0, 3.0)
-    onset, release = pad.touched(palm(1.0), at(nothing(4.0), 4, 3, noise_floor + swell), 2.0)
+    onset, release = pad.touched(
+        at(nothing(1.0), 4, 3, 40.0), at(nothing(4.0), 4, 3, noise_floor + swell), 2.0
+    )
     assert (release.last_index - onset.first_index) / 54 > 4.5
 
 
