@@ -7,6 +7,7 @@ PYTHONPATH=.:tests python tests/by_hand/pictures.py --touched docs/figures/touch
 
 import argparse
 import io
+import itertools
 import math
 import threading
 import time
@@ -230,7 +231,10 @@ def picture_page(path: Path, size: tuple[int, int], scheme: str, anchor: str) ->
         last = play(served.settings, page.put, page.put, pace)
 
         def keep_still() -> None:
-            while not over.wait(STILL_EVERY_S):
+            begun_s = time.monotonic()
+            for number in itertools.count():
+                if over.wait(max(0.0, begun_s + STILL_EVERY_S * number - time.monotonic())):
+                    return
                 page.put_frame(last, 0)
 
         threading.Thread(target=keep_still).start()
