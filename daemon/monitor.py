@@ -25,7 +25,7 @@ from touchd.drivers.frame import (
     Frame,
     SensorState,
 )
-from touchd.drivers.pad.grid import MAX_GAP_S
+from touchd.drivers.pad.pace import LEAST_RATE_HZ
 from touchd.drivers.pad.parser import FrameParser
 
 log = logging.getLogger(__name__)
@@ -62,8 +62,8 @@ STILL_SHARE = 0.01
 UNKNOWN_SHARE = 0.05
 LIVELY_SHARE = 0.1
 # On a pad with noise, a taxel that stands still is broken. A pad has noise if this many taxels change in this
-# share of the first three seconds' frames, as on HAART's and the robot's pads; later a hand may move them.
-FIRST_BLOCKS = 6
+# share of the first three seconds' frames without a hand, as on HAART's and the robot's pads.
+FIRST_S = 3.0
 LIVELY_TAXELS = 48
 NOISY_SHARE = 0.3
 SATURATED_COUNT = 1000
@@ -114,16 +114,16 @@ class PadMonitor:
         self._state = state
         return state
 
-    def on_frame(self, frame: Frame, *, restarted: bool) -> SensorState | None:
-        """Take the next frame. restarted: whether the grid restarted with it."""
+    def on_frame(self, frame: Frame, *, restarted: bool, is_untouched: bool = True) -> SensorState | None:
+        """Take the next frame. restarted: whether the grid restarted with it. is_untouched: by any hand."""
         self._gaps.update(frame, restarted)
-        self._taxels.update(frame)
+        self._taxels.update(frame, is_untouched=is_untouched)
         if self._line is not None:
             self._line.update(frame.host_s)
         return self._note(frame.host_s)
 
     def on_rest(self, *, is_noisy: bool, loose_lines: Sequence[str]) -> None:
-        """Take what the tracker knows of the untouched pad, every REST_FRAMES."""
+        """Take what the tracker knows of the untouched pad, every REST_FRAMES while nothing touches it."""
         self._rest.update(is_noisy, loose_lines)
 
     def _note(self, now_s: float) -> SensorState | None:
@@ -169,7 +169,11 @@ class _Gaps:
             self._since_s = frame.host_s
         if self._without_gap >= WITHOUT_GAP_FRAMES:
             self._since_s = frame.host_s
-            self.faults.clear()
+            rate_hz = 1000 * (WITHOUT_GAP_FRAMES - 1) / self._clock_ms if self._clock_ms else FRAME_RATE_HZ
+            if rate_hz >= LEAST_RATE_HZ - 0.5:
+                self.faults.clear()
+            else:
+                self.faults["gaps"] = _too_slow(rate_hz)
         elif not self.faults and restarted and frame.host_s - self._since_s >= DEAF_S:
             self.faults["gaps"] = f"no touch is recognised: {self._why()}"
 
@@ -183,15 +187,24 @@ class _Gaps:
                 "the pad's clock goes back and forth; do frames overtake one another on the way, or do two "
                 "boards send there?"
             )
-        if rate_hz > 1.0 / MAX_GAP_S:
+        if rate_hz >= LEAST_RATE_HZ:
             return (
                 f"{rate_hz:.0f} frames a second come, with gaps of up to {max(steps_ms)} ms; are frames lost "
                 "on the way?"
             )
-        return (
-            f"{rate_hz:.1f} frames a second come, and more than {1.0 / MAX_GAP_S:.0f} are needed, best "
-            f"{FRAME_RATE_HZ:.0f}"
-        )
+        return _too_slow(rate_hz)
+
+    @property
+    def _clock_ms(self) -> float:
+        """The time that the last frames took by the pad's clock."""
+        return float((self._frames[-1].sensor_ms - self._frames[0].sensor_ms) % CLOCK_MODULUS)
+
+
+def _too_slow(rate_hz: float) -> str:
+    return (
+        f"{rate_hz:.1f} frames a second come, and {LEAST_RATE_HZ:.0f} or more are needed, best "
+        f"{FRAME_RATE_HZ:.0f}"
+    )
 
 
 class _LineFaults:
@@ -299,39 +312,46 @@ class TaxelFaults:
         self._activity = np.full((ROWS, COLUMNS), UNKNOWN_SHARE)
         self._is_still = np.zeros((ROWS, COLUMNS), dtype=np.bool_)
         self._has_noise = False
-        self._first_blocks = 0
+        self._first_s = 0.0
+        self._is_untouched = True
         self._first_changed = np.zeros((ROWS, COLUMNS))
         self._saturation = 0.0
         self._garbled = 0.0
         self.faults: dict[str, str] = {}
         self._changing_since_s: dict[str, float] = {}
 
-    def update(self, frame: Frame) -> None:
+    def update(self, frame: Frame, *, is_untouched: bool = True) -> None:
         """Take the next frame."""
         self._block.append(frame)
+        self._is_untouched &= is_untouched
         if len(self._block) <= BLOCK_FRAMES:
             return
         self._measure(np.stack([one.pressure for one in self._block]), _passed_s(self._block))
-        self._block = [frame]
+        self._block, self._is_untouched = [frame], is_untouched
         self._follow(self._current())
 
     def _measure(self, pressure: Counts, passed_s: float) -> None:
         """Take (T, 8, 8) frames, the first of which was taken before, and how long the others took."""
         self._clock_s += passed_s
         weight = 1.0 - math.exp(-passed_s / AVERAGE_S)
-        changed = (pressure[1:] != pressure[:-1]).mean(axis=0)
-        self._activity += weight * (changed - self._activity)
-        is_still = self._activity < STILL_SHARE
-        self._is_still = is_still | (self._is_still & (self._activity < LIVELY_SHARE))
-        if self._first_blocks < FIRST_BLOCKS:
-            self._first_blocks += 1
-            self._first_changed += changed / FIRST_BLOCKS
-            self._has_noise = int((self._first_changed > NOISY_SHARE).sum()) >= LIVELY_TAXELS
+        if self._is_untouched:
+            self._measure_changes((pressure[1:] != pressure[:-1]).mean(axis=0), passed_s, weight)
         is_saturated = (pressure[1:] >= SATURATED_COUNT).sum(axis=(1, 2)) >= SATURATED_TAXELS
         self._saturation += weight * (float(is_saturated.mean()) - self._saturation)
         is_fast = passed_s <= BLOCK_FRAMES / GARBLED_HZ
         garbled = float((_jumps(pressure) >= GARBLED_COUNTS).mean()) if is_fast else 0.0
         self._garbled += weight * (garbled - self._garbled)
+
+    def _measure_changes(self, changed: NDArray[np.float64], passed_s: float, weight: float) -> None:
+        """Take the share of an untouched pad's frames in which each taxel (8, 8) changes."""
+        self._activity += weight * (changed - self._activity)
+        is_still = self._activity < STILL_SHARE
+        self._is_still = is_still | (self._is_still & (self._activity < LIVELY_SHARE))
+        if self._first_s < FIRST_S:
+            self._first_changed += changed * passed_s
+            self._first_s += passed_s
+            is_lively = self._first_changed > NOISY_SHARE * self._first_s
+            self._has_noise = int(is_lively.sum()) >= LIVELY_TAXELS
 
     def _current(self) -> dict[str, str]:
         """Return what looks faulty now."""

@@ -169,7 +169,9 @@ class Pipeline:
             self._staleness.update(grid_frame)
             self._advance(grid_frame)
         restarted = any(grid_frame.restarted for grid_frame in laid)
-        self._report(self._monitor.on_frame(frame, restarted=restarted))
+        self._report(
+            self._monitor.on_frame(frame, restarted=restarted, is_untouched=self._tracker.is_untouched)
+        )
 
     def on_sensor_state(self, state: SensorState) -> None:
         """Note that the sensor came or went; when it goes, the touch ends and rest is measured again."""
@@ -204,7 +206,7 @@ class Pipeline:
                 self._answer_what_is_due(self._touch, frame)
             if self._touch.off_frames == AFTER_FRAMES:
                 self._answer_release(self._touch, frame)
-        elif frame.index % REST_FRAMES == 0:
+        elif frame.index % REST_FRAMES == 0 and self._tracker.is_untouched:
             is_noisy, loose_lines = self._tracker.baseline.is_disturbed, self._tracker.loose_lines
             self._monitor.on_rest(is_noisy=is_noisy, loose_lines=loose_lines)
 

@@ -14,7 +14,7 @@ from touchd.daemon.monitor import MANY_SHARE
 from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
 from touchd.drivers.pad.arrived import is_text, looks_like
 from touchd.drivers.pad.format import PadFormat
-from touchd.drivers.pad.pace import clock_by_ours, pace_of
+from touchd.drivers.pad.pace import LEAST_RATE_HZ, clock_by_ours, pace_of
 from touchd.drivers.pad.port import Line, SensorError, at_baud, check_port, open_port
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.search.listen import USUAL_BAUDS, Chunk
@@ -22,7 +22,8 @@ from touchd.drivers.search.search import Finding, as_yaml, search
 
 TRY_BAUD_S = 0.5
 # The ring resamples any rate from the first on to 54 Hz; answers are best between the other two.
-SLOWEST_HZ, SLOW_HZ, FAST_HZ = 20.0, 50.0, 100.0
+# Below FEW_HZ, fast gestures, such as pats and tickles, look alike.
+FEW_HZ, SLOW_HZ, FAST_HZ = 20.0, 50.0, 100.0
 # One lost frame in a thousand is harmless.
 CLEAN_SHARE = 0.001
 CLOCK_TOLERANCE = 0.05
@@ -179,8 +180,11 @@ def check_rate(sample: Sample) -> Check:
         return Check("rate", "to do", found, ADVICE_FOR_BYTES["clock"], figures)
     if round(pace.rate_hz) < SLOW_HZ:
         advice = "have the firmware scan at 54 Hz; at 115200 baud a 10x10 frame just fits: use 512000"
-        if round(pace.rate_hz) < SLOWEST_HZ:
-            return Check("rate", "to do", f"{found}; {SLOWEST_HZ:g} are needed", advice, figures)
+        if round(pace.rate_hz) < LEAST_RATE_HZ:
+            return Check("rate", "to do", f"{found}; {LEAST_RATE_HZ:g} are needed", advice, figures)
+        if round(pace.rate_hz) < FEW_HZ:
+            found += f"; below {FEW_HZ:g} fast gestures are often wrong"
+            return Check("rate", "warning", found, advice, figures)
         return Check("rate", "warning", f"{found}; {SLOW_HZ:g} or more are better", advice, figures)
     if pace.lost > CLEAN_SHARE * len(sample.frames):
         return Check("rate", "warning", f"{found}; {pace.lost} frames lost on the way", "", figures)

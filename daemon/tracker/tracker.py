@@ -241,6 +241,12 @@ class TouchTracker:
         return False
 
     @property
+    def is_untouched(self) -> bool:
+        """Whether the last hand left some seconds ago, so that what the pad reads is its own."""
+        quiet = self._state.quiet if isinstance(self._state, Maybe) else self._state
+        return isinstance(quiet, Quiet) and quiet.frames >= LEAVING_FRAMES
+
+    @property
     def last_contact_index(self) -> int:
         """The current touch's last grid frame with contact, less the median's delay."""
         state = self._state

@@ -112,6 +112,9 @@ def test_a_wrong_clock_is_distinguished_from_a_slow_pad() -> None:
     assert "54 Hz" in slow.advice
     # A pad with a nominal rate of 50 Hz.
     assert checked(20.1, 0.0201).verdict == "ok"
-    useless = checked(55, 0.055)
+    few = checked(55, 0.055)
+    assert few.verdict == "warning"
+    assert "fast gestures" in few.found
+    useless = checked(140, 0.14)
     assert useless.verdict == "to do"
-    assert "20 are needed" in useless.found
+    assert "8 are needed" in useless.found

@@ -352,7 +352,22 @@ def test_losing_frames_in_runs_degrades_the_pad() -> None:
 
 def test_a_pad_that_is_too_slow_is_degraded() -> None:
     (state,) = states_of(PadMonitor(), range(0, 10_000, 250))
-    assert "4.0 frames a second come, and more than 5 are needed" in state.reason
+    assert "4.0 frames a second come, and 8 or more are needed" in state.reason
+
+
+def test_a_steady_pad_below_the_least_rate_is_degraded() -> None:
+    (state,) = states_of(PadMonitor(), range(0, 10_000, 160))
+    assert "6.2 frames a second come, and 8 or more are needed" in state.reason
+    assert states_of(PadMonitor(), range(0, 10_000, 125)) == []
+
+
+def test_a_hand_does_not_show_which_taxels_stand_still() -> None:
+    silent = np.zeros((20 * RATE_HZ, 8, 8), np.uint16)
+    silent[: 5 * RATE_HZ] = sound_pad(5)
+    taxels = TaxelFaults()
+    for number, frame in enumerate(frames_of(silent)):
+        taxels.update(frame, is_untouched=number >= 5 * RATE_HZ)
+    assert taxels.faults == {}
 
 
 def test_stale_frames_after_a_pause_are_not_judged() -> None:
