@@ -26,8 +26,10 @@ STUDIES = {
     "teaching": ("studies.teaching", "what teaching gains for touches in passing"),
     "tracker": ("studies.tracker.report", "sessions.md: how well touches are detected"),
     "streams": ("studies.sessions.streams", "sessions.md: the same of another kind of pad"),
-    "changes": ("studies.sessions.changes", "sessions.md: hands that change their gesture"),
-    "passing": ("studies.sessions.passing", "sessions.md: touches of a second or less"),
+    "passing": (
+        "studies.sessions.passing",
+        "sessions.md: touches of a second or less, and hands that change",
+    ),
     "sessions": ("studies.sessions.report", "sessions.md: what the robot is told of a pad in use"),
 }
 

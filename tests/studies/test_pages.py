@@ -21,6 +21,7 @@ from touchd.model.studies.challenge import table as challenge
 from touchd.model.studies.checks.scores import read_scores
 from touchd.model.studies.marked import PLACE, PageError, fill, table
 from touchd.model.studies.results import Results, ResultsError
+from touchd.model.studies.sessions import passing
 from touchd.model.studies.tracker import report as tracker
 from touchd.model.studies.tracker.figures import TouchReport
 from touchd.model.training.recipe import read_recipe
@@ -38,13 +39,19 @@ PAGES: dict[str, Tables] = {
         **adapting.tables(stored(adapting.FILE, adapting.Measured)),
         **new_pad.tables(stored(new_pad.FILE, new_pad.Measured)),
     },
-    "decision": lambda: decision.tables(stored(decision.FILE, decision.Measured)),
+    "decision": lambda: {
+        **decision.tables(stored(decision.FILE, decision.Measured)),
+        **passing.curve_table(stored(passing.FILE, passing.Measured)),
+    },
     "report": lambda: {
         **challenge.tables(Results(challenge.FILE)),
         **paper.tables(Results(paper.FILE)),
     },
     "speed": lambda: speed.tables(stored(speed.FILE, speed.Measured)),
-    "sessions": lambda: tracker.tables(stored(tracker.FILE, TouchReport)),
+    "sessions": lambda: {
+        **tracker.tables(stored(tracker.FILE, TouchReport)),
+        **passing.tables(stored(passing.FILE, passing.Measured)),
+    },
 }
 
 

@@ -1,28 +1,21 @@
-"""Hands that change their gesture without leaving the pad: `python -m touchd.model.studies changes`.
+"""Hands that change their gesture without leaving the pad; the study `passing` measures them too.
 
-Four seconds of one gesture, then four of another, of one person under one condition; then rest. Networks
-never saw the person.
+Four seconds of one gesture, then four of another, of one person under one condition; then rest.
 """
 
 import random
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import msgspec
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from touchd.daemon.events import UNCERTAIN, Event, Prediction, epoch_s
 from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH, Counts
 from touchd.drivers.recording import Recording
-from touchd.model.classifier import SHIPPED_MODEL, Classifier
-from touchd.model.studies.folders import study_parser
+from touchd.model.studies.checks.evaluate import Split
 from touchd.model.studies.play import frames_of, play
 from touchd.model.studies.sessions.plan import together
-from touchd.model.training import haart, second_study
-from touchd.model.training.weights import left_out_split
 
 REST_FRAMES = 108
 EACH_FRAMES = round(4 * FRAME_RATE_HZ)
@@ -114,35 +107,12 @@ def score(fates: Sequence[Fate]) -> ChangeScore:
     )
 
 
-def measure(recordings: Sequence[Recording], model: Classifier) -> list[Fate]:
-    """Play every pair."""
-    return [judge(pair, play(frames_of(pair.counts), model, flush=True)) for pair in pairs(recordings)]
-
-
-def main(arguments: Sequence[str]) -> int:
-    """Print the scores of people held out, or with --test of HAART's test people; returns 0."""
-    parser = study_parser("changes", "Plays hands that change their gesture.", "haart", "second-study")
-    parser.add_argument(
-        "--weights", type=Path, default=SHIPPED_MODEL.parent, help="folder of the model files"
+def measure(split: Split) -> ChangeScore:
+    """Play every pair with the network that never saw the person, and score them together."""
+    return score(
+        [
+            judge(pair, play(frames_of(pair.counts), model, flush=True))
+            for model, recordings in split
+            for pair in pairs(recordings)
+        ]
     )
-    parser.add_argument("--test", action="store_true", help="HAART's test people instead: final figures only")
-    chosen = parser.parse_args(arguments)
-    if chosen.test:
-        people = haart.realigned(haart.read_test(chosen.haart))
-        fates = {"HAART test": measure(people, Classifier.load(chosen.weights / SHIPPED_MODEL.name))}
-    else:
-        recordings: Mapping[str, Sequence[Recording]] = {
-            "HAART held out": haart.realigned(haart.read_training(chosen.haart)),
-            "second study": second_study.scored(second_study.read(chosen.second_study)),
-        }
-        fates = {
-            study: [
-                fate for model, own in left_out_split(chosen.weights, each) for fate in measure(own, model)
-            ]
-            for study, each in recordings.items()
-        }
-    table = Table("people", *ChangeScore.__struct_fields__)
-    for name, own in fates.items():
-        table.add_row(name, *(f"{value:g}" for value in msgspec.structs.astuple(score(own))))
-    Console(width=110).print(table)
-    return 0

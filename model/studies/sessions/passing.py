@@ -11,7 +11,7 @@ last half second is as high as in the middle), so its touches are cut like HAART
 
 import random
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -19,21 +19,27 @@ from pathlib import Path
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.table import Table
 
+from touchd.daemon.decide import RELEASED_ABOVE
 from touchd.daemon.events import UNCERTAIN, Event, Prediction, epoch_s
 from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT, NO_TOUCH, Counts
 from touchd.drivers.recording import Recording, set_up
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 from touchd.model.studies.folders import study_parser
+from touchd.model.studies.marked import fill, table
 from touchd.model.studies.play import frames_of, play
+from touchd.model.studies.results import STORED
+from touchd.model.studies.sessions import changes
+from touchd.model.studies.sessions.changes import ChangeScore
 from touchd.model.studies.sessions.score import FRAME_MS, Detected, detected_in
 from touchd.model.training import haart, second_study, third_study
 from touchd.model.training.contacts import LEAVES, contacts, lightest, shift_of_rest
 from touchd.model.training.studies import study_of
 from touchd.model.training.weights import left_out_split
 
+FILE = STORED / "passing.json"
+LIMITS = (0.2, 0.3, 0.4, 0.5, 0.65)
+BINS = 10
 REST_FRAMES = 162
 # A cut piece rises from rest, and falls to it, within this many frames.
 FADE_FRAMES = 4
@@ -73,7 +79,8 @@ class PassingSession:
 class Fate:
     """What became of one touch. told: gestures told, in order. answered_s: from lift-off to the first answer.
 
-    perhaps: what an `uncertain` event would have said; "" if none.
+    perhaps: what an `uncertain` event would have said; "" if none. ended: the likeliest gesture and its
+    confidence in the answer to the ended touch; None for one that had its final answer.
     """
 
     touch: PassingTouch
@@ -81,6 +88,7 @@ class Fate:
     told: tuple[str, ...]
     answered_s: float | None
     perhaps: str
+    ended: tuple[str, float] | None
 
 
 class PassingScore(msgspec.Struct, frozen=True, kw_only=True):
@@ -189,13 +197,14 @@ def _fate(touch: PassingTouch, detected: Sequence[Detected]) -> Fate:
         len(detected),
         tuple(answer.gesture for answer in told),
         epoch_s(told[0].time) - over_s if told else None,
-        _likeliest(last) if last is not None and last.gesture == UNCERTAIN else "",
+        last.perhaps if last is not None else "",
+        _likeliest(last) if last is not None and last.stage in ("released", "uncertain") else None,
     )
 
 
-def _likeliest(answer: Prediction) -> str:
-    touches = {name: value for name, value in answer.probabilities.items() if name != NO_TOUCH}
-    return max(touches, key=lambda name: touches[name])
+def _likeliest(answer: Prediction) -> tuple[str, float]:
+    name = max(answer.probabilities, key=lambda name: answer.probabilities[name])
+    return name, answer.probabilities[name]
 
 
 def score(fates: Sequence[Fate]) -> PassingScore:
@@ -238,42 +247,132 @@ def rows(fates: Sequence[Fate]) -> dict[str, PassingScore]:
     return {name: score(own) for name, own in groups.items() if own}
 
 
-def held_out(recordings: Mapping[str, Sequence[Recording]], weights: Path) -> dict[str, list[Fate]]:
-    """Return each study's fates, with networks that never saw the person."""
+def calibration_error(fates: Sequence[Fate]) -> float:
+    """Return the expected calibration error of the answers to ended touches, over ten bins."""
+    answers = [(*fate.ended, fate.touch.gesture) for fate in fates if fate.ended is not None]
+    confidence = np.array([value for _, value, _ in answers])
+    right = np.array([name == made for name, _, made in answers])
+    bins = np.minimum((confidence * BINS).astype(int), BINS - 1)
+    gaps = [
+        abs(confidence[bins == each].mean() - right[bins == each].mean()) * (bins == each).sum()
+        for each in np.unique(bins)
+    ]
+    return round(float(sum(gaps)) / max(1, len(answers)), 3)
+
+
+def curve(fates: Sequence[Fate], limits: Sequence[float]) -> list[tuple[float, float, float]]:
+    """Return for each value of `released_above`: it, percent right of all, percent right of the named."""
+    rows = []
+    for limit in limits:
+        named = [
+            fate.ended[0]
+            if fate.ended is not None and fate.ended[1] >= limit and fate.ended[0] != NO_TOUCH
+            else next(iter(fate.told[-1:]), None)
+            if fate.ended is None
+            else None
+            for fate in fates
+        ]
+        right = sum(name == fate.touch.gesture for name, fate in zip(named, fates, strict=True))
+        count = sum(name is not None for name in named)
+        rows.append((limit, round(100 * right / len(fates), 1), round(100 * right / max(1, count), 1)))
+    return rows
+
+
+class Row(msgspec.Struct, frozen=True, kw_only=True):
+    """One study's figures: by touch, the error of ended touches' confidence, and the curve of its limit."""
+
+    scores: dict[str, PassingScore]
+    calibration_error: float
+    curve: list[tuple[float, float, float]]
+
+
+class Measured(msgspec.Struct, frozen=True, kw_only=True):
+    """The stored figures of touches in passing and of changes, with the model's name."""
+
+    model: str
+    passing: dict[str, Row]
+    changes: dict[str, ChangeScore]
+
+
+def row_of(fates: Sequence[Fate]) -> Row:
+    """Return one study's figures."""
+    mix = [fate for fate in fates if fate.touch.is_in_mix]
+    return Row(scores=rows(fates), calibration_error=calibration_error(fates), curve=curve(mix, LIMITS))
+
+
+def tables(measured: Measured) -> dict[str, str]:
+    """Return the tables of docs/sessions.md by their places."""
+    people = list(measured.passing)
+
+    def cells(name: str) -> list[str]:
+        found = [measured.passing[each].scores.get(name) for each in people]
+        return [f"{one.right:g} / {one.right_of_named:g}" if one else "" for one in found]
+
+    def of_mix(value: Callable[[PassingScore], float]) -> list[str]:
+        return [f"{value(measured.passing[each].scores['mix']):g}" for each in people]
+
+    names = sorted({name for row in measured.passing.values() for name in row.scores} - {"mix", "all"})
+    shown = [
+        ("touches", of_mix(lambda score: score.n)),
+        ("**right of all / of what was named**", cells("mix")),
+        ("missed", of_mix(lambda score: score.missed)),
+        ("detected as several", of_mix(lambda score: score.several)),
+        ("told right, then wrong", of_mix(lambda score: score.harmful)),
+        ("from lift-off to the first answer, s", of_mix(lambda score: score.answered_s)),
+        *((name, cells(name)) for name in names),
+    ]
+    errors = ["calibration error of ended touches"]
+    errors += [f"{measured.passing[each].calibration_error:.2f}" for each in people]
+    changed = [(name, *msgspec.structs.astuple(one)) for name, one in measured.changes.items()]
+    headings = ("people", "both told", "last right", "a third told", "told after, s", "pairs")
     return {
-        study: [fate for model, own in left_out_split(weights, each) for fate in measure(own, model)]
-        for study, each in recordings.items()
+        "passing": table(("", *people), [*((name, *row) for name, row in shown), errors]),
+        "changes": table(headings, changed),
     }
 
 
+def curve_table(measured: Measured) -> dict[str, str]:
+    """Return the table of docs/decision.md by its place."""
+    people = list(measured.passing)
+    limits = [
+        (f"{limit:.2f}" + (" (default)" if limit == RELEASED_ABOVE else ""))
+        for limit, _, _ in measured.passing[people[0]].curve
+    ]
+    columns = [
+        [f"{right:g} / {named:g}" for _, right, named in measured.passing[each].curve] for each in people
+    ]
+    return {"released": table(("`released_above`", *people), zip(limits, *columns, strict=True))}
+
+
 def main(arguments: Sequence[str]) -> int:
-    """Print the scores of people held out, or with --test of HAART's test people; returns 0."""
-    takes = ("haart", "second-study", "third-study")
-    parser = study_parser("passing", "Plays touches of a second or less, and scores what is told.", *takes)
+    """Measure touches in passing and changes, store the figures and fill the pages; returns 0."""
+    takes = ("haart", "second-study", "third-study", "docs")
+    what = "Plays touches of a second or less, and hands that change their gesture."
+    parser = study_parser("passing", what, *takes)
     parser.add_argument(
         "--weights", type=Path, default=SHIPPED_MODEL.parent, help="folder of the model files"
     )
-    parser.add_argument("--test", action="store_true", help="HAART's test people instead: final figures only")
     chosen = parser.parse_args(arguments)
-    if chosen.test:
-        people = haart.realigned(haart.read_test(chosen.haart))
-        scored = {"HAART test": measure(people, Classifier.load(chosen.weights / SHIPPED_MODEL.name))}
-    else:
-        recordings = {
-            "HAART held out": haart.realigned(haart.read_training(chosen.haart)),
-            "second study": second_study.scored(second_study.read(chosen.second_study)),
-            "third study": third_study.read(chosen.third_study),
-        }
-        scored = held_out(recordings, chosen.weights)
-    for study, fates in scored.items():
-        Console(width=110).print(_table(study, rows(fates)))
-    sys.stdout.flush()
+    shipped = Classifier.load(chosen.weights / SHIPPED_MODEL.name)
+    test = haart.realigned(haart.read_test(chosen.haart))
+    training = haart.realigned(haart.read_training(chosen.haart))
+    second = second_study.scored(second_study.read(chosen.second_study))
+    third = third_study.read(chosen.third_study)
+    splits = {
+        "HAART test": [(shipped, test)],
+        "HAART held out": left_out_split(chosen.weights, training),
+        "second study": left_out_split(chosen.weights, second),
+        "third study": left_out_split(chosen.weights, third),
+    }
+    passing: dict[str, Row] = {}
+    changed: dict[str, ChangeScore] = {}
+    for name, split in splits.items():
+        passing[name] = row_of([fate for model, own in split for fate in measure(own, model)])
+        if name != "third study":
+            changed[name] = changes.measure(split)
+        sys.stderr.write(f"{name}: {msgspec.json.encode(passing[name].scores['mix']).decode()}\n")
+    measured = Measured(model=shipped.name, passing=passing, changes=changed)
+    FILE.write_bytes(msgspec.json.format(msgspec.json.encode(measured)) + b"\n")
+    fill(chosen.docs / "sessions.md", tables(measured))
+    fill(chosen.docs / "decision.md", curve_table(measured))
     return 0
-
-
-def _table(title: str, scores: Mapping[str, PassingScore]) -> Table:
-    columns = PassingScore.__struct_fields__
-    table = Table("touches", *columns, title=title)
-    for name, own in scores.items():
-        table.add_row(name, *(f"{getattr(own, column):g}" for column in columns))
-    return table
