@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import compress
 from pathlib import Path
 from types import MappingProxyType
@@ -63,50 +63,93 @@ def _saved(job: Job, runs: Path) -> Checkpoint:
     return saved
 
 
+@dataclass(frozen=True, eq=False)
+class Trained:
+    """A recipe's networks with what their export needs.
+
+    learnt: recordings by study. folds: the networks that held people out. answers: of each fold, about its
+    own people of each study.
+    """
+
+    recipe: Recipe
+    folders: Folders
+    runs: Path
+    learnt: Mapping[Study, Sequence[Recording]]
+    folds: Sequence[Checkpoint]
+    answers: Sequence[Sequence[calibrate.Answers]]
+
+    @classmethod
+    def of(cls, recipe: Recipe, folders: Folders, runs: Path) -> "Trained":
+        """Load the folds and ask them; raises CheckpointError if a training has not ended."""
+        scored = folders.to_score_on(recipe.settings.studies)
+        folds = [finished(job, runs) for job in fold_jobs(recipe)]
+        return cls(
+            recipe,
+            folders,
+            runs,
+            {study: folders.to_train_on((study,)) for study in recipe.settings.studies},
+            folds,
+            [[calibrate.ask_left_out(fold, study) for study in scored.values()] for fold in folds],
+        )
+
+
 def export_recipe(recipe: Recipe, folders: Folders, runs: Path, weights: Path) -> list[Path]:
     """Export the shipped network, and one file per further seed, fold and left-out study; return the paths.
 
     The shipped network's checkpoint and rehearsal statistics are written beside it, for adapting it.
     Each fold's temperatures are fitted on the other folds, so that its calibration error is unbiased.
     """
-    scored = folders.to_score_on(recipe.settings.studies)
-    learnt = {study: folders.to_train_on((study,)) for study in recipe.settings.studies}
-    folds = [finished(job, runs) for job in fold_jobs(recipe)]
-    answers = [[calibrate.ask_left_out(fold, study) for study in scored.values()] for fold in folds]
-    written: list[Path] = []
-    for fold, own in zip(folds, answers, strict=True):
-        path = fold_path(weights, fold.settings.left_out)
-        name = f"{recipe.name}-{fold_name(fold.settings.left_out)}"
-        temperatures = _temperatures([answer for answer in answers if answer is not own])
-        _export(fold, name, learnt, temperatures, calibrate.accuracies(own), path)
-        written.append(path)
+    trained = Trained.of(recipe, folders, runs)
+    written = _export_folds(trained, weights)
     for stale in {*(weights / LEFT_OUT_FOLDER).glob("*.onnx")} - {*written}:
         stale.unlink()
-    temperatures = _temperatures(answers)
-    accuracies = calibrate.accuracies([answer for fold in answers for answer in fold]) if folds else {}
-    for job in study_jobs(recipe):
-        saved = finished(job, runs)
-        path = weights / FABRIC_MODEL.name
-        met = [study in saved.settings.studies for study in scored]
-        known = _temperatures([list(compress(answer, met)) for answer in answers])
-        _export(saved, f"{recipe.name}-fabric", learnt, known, {}, path)
+    return [*written, *_export_left_out_study(trained, weights), *_export_final(trained, weights)]
+
+
+def _export_folds(trained: Trained, weights: Path) -> list[Path]:
+    written = []
+    for fold, own in zip(trained.folds, trained.answers, strict=True):
+        path = fold_path(weights, fold.settings.left_out)
+        name = f"{trained.recipe.name}-{fold_name(fold.settings.left_out)}"
+        temperatures = _temperatures([answer for answer in trained.answers if answer is not own])
+        _export(fold, name, trained.learnt, temperatures, calibrate.accuracies(own), path)
         written.append(path)
-    for job in final_jobs(recipe):
-        saved = finished(job, runs)
-        shipped = job.settings.seed == recipe.seeds[0]
-        further = Path(SEEDS_FOLDER, f"seed{job.settings.seed}.onnx")
-        path = weights / (SHIPPED_MODEL.name if shipped else further)
-        _export(saved, recipe.name, learnt, temperatures, accuracies, path)
-        written.append(path)
-        if shipped:
-            beside = path.with_suffix(".pt")
-            checkpoint.save(replace(saved, training={}), beside)
-            remembered = path.with_suffix(".npz")
-            save_remembered(remember(saved, folders), remembered)
-            digest = digest_file(path)
-            digest.write_text(f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}\n")
-            written += [beside, remembered, digest]
     return written
+
+
+def _export_left_out_study(trained: Trained, weights: Path) -> list[Path]:
+    written = []
+    for job in study_jobs(trained.recipe):
+        saved = finished(job, trained.runs)
+        path = weights / FABRIC_MODEL.name
+        met = [study in saved.settings.studies for study in trained.learnt]
+        known = _temperatures([list(compress(answer, met)) for answer in trained.answers])
+        _export(saved, f"{trained.recipe.name}-fabric", trained.learnt, known, {}, path)
+        written.append(path)
+    return written
+
+
+def _export_final(trained: Trained, weights: Path) -> list[Path]:
+    recipe, answers = trained.recipe, trained.answers
+    accuracies = calibrate.accuracies([answer for fold in answers for answer in fold]) if answers else {}
+    written = []
+    for job in final_jobs(recipe):
+        saved = finished(job, trained.runs)
+        is_shipped = job.settings.seed == recipe.seeds[0]
+        further = Path(SEEDS_FOLDER, f"seed{job.settings.seed}.onnx")
+        path = weights / (SHIPPED_MODEL.name if is_shipped else further)
+        _export(saved, recipe.name, trained.learnt, _temperatures(answers), accuracies, path)
+        written += [path, *(_export_beside(saved, trained.folders, path) if is_shipped else ())]
+    return written
+
+
+def _export_beside(saved: Checkpoint, folders: Folders, path: Path) -> list[Path]:
+    """Write the shipped network's checkpoint, rehearsal statistics and digest beside it."""
+    beside, remembered, digest = path.with_suffix(".pt"), path.with_suffix(".npz"), digest_file(path)
+    checkpoint.save(replace(saved, training={}), beside)
+    save_remembered(remember(saved, folders), remembered)
+    digest.write_text(f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}\n")
+    return [beside, remembered, digest]
 
 
 def remember(saved: Checkpoint, folders: Folders) -> Remembered:
