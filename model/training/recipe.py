@@ -41,15 +41,18 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A study that one network leaves out whole, for the figure of a pad never met."""
     begins_from: str | None = None
     """Name of the recipe whose trained networks these ones begin from; None: from random weights."""
+    keeps: float = 0.0
+    """Share of the weights begun from in those that ship (Wortsman et al. 2022): what was learnt is kept."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """One network to train: the name of its folder, its settings, the folder of the one it begins from."""
+    """One network to train: its folder, its settings, and the folder of the one that it keeps a share of."""
 
     name: str
     settings: TrainSettings
     begins_from: str | None = None
+    keeps: float = 0.0
 
 
 def read_recipe(path: Path = SHIPPED_RECIPE) -> Recipe:
@@ -100,4 +103,4 @@ def _job(recipe: Recipe, seed: int, left_out: tuple[str, ...] = (), without: Stu
     )
     learnt = f"without-{without}" if without else fold_name(left_out)
     begins_from = f"{recipe.begins_from}-{learnt}-seed{seed}" if recipe.begins_from else None
-    return Job(f"{recipe.name}-{learnt}-seed{seed}", settings, begins_from)
+    return Job(f"{recipe.name}-{learnt}-seed{seed}", settings, begins_from, recipe.keeps)

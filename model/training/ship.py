@@ -213,10 +213,17 @@ def export_checkpoint(
 
 
 def finished(job: Job, runs: Path) -> Checkpoint:
-    """Return a trained network; raises CheckpointError if its training has not ended."""
+    """Return a trained network, with its share of the one it began from; raises CheckpointError.
+
+    Its training must have ended.
+    """
     saved = _saved(job, runs)
     if saved.step < job.settings.steps:
         raise checkpoint.CheckpointError(
             f"{runs / job.name}: stopped after step {saved.step}; run `train` again"
         )
-    return saved
+    if job.begins_from is None or not job.keeps:
+        return saved
+    first = checkpoint.load(runs / job.begins_from / CHECKPOINT_NAME).network
+    blended = {name: torch.lerp(own, first[name], job.keeps) for name, own in saved.network.items()}
+    return replace(saved, network=blended)

@@ -238,7 +238,13 @@ def test_a_recipe_may_begin_from_the_networks_of_another(tmp_path: Path) -> None
     (job, *_) = all_jobs(further)
     data = folders.to_train_on(job.settings.studies)
     (begun,) = train(data, [job], tmp_path, DEVICE)
-    assert same(begun, finished_training(all_jobs(RECIPE)[0], tmp_path))
+    first = finished_training(all_jobs(RECIPE)[0], tmp_path)
+    assert same(begun, first)
+    kept = replace(job, name="kept", settings=another(studies=job.settings.studies), keeps=0.25)
+    (moved,) = train(data, [kept], tmp_path, DEVICE)
+    for name, weights in finished_training(kept, tmp_path).network.items():
+        expected = 0.75 * moved.network[name] + 0.25 * first.network[name]
+        torch.testing.assert_close(weights, expected)
     with pytest.raises(CheckpointError, match="there is no checkpoint"):
         train(data, [replace(job, name="lost", begins_from="nowhere")], tmp_path, DEVICE)
 
