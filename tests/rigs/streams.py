@@ -366,16 +366,16 @@ def fault_short() -> Sent:
 
 @stream
 def fault_frozen() -> Sent:
-    """After four seconds the board sends the same frame again and again."""
-    counts, clock_ms = sent(nothing(20.0))
-    counts[frames_of(4.0) :] = counts[frames_of(4.0)]
+    """After eight seconds the board sends the same frame again and again."""
+    counts, clock_ms = sent(nothing(24.0))
+    counts[frames_of(8.0) :] = counts[frames_of(8.0)]
     return Sent(counts, clock_ms)
 
 
 @stream
 def fault_mains_hum() -> Sent:
     """Mains hum, seen as a slow wave of 6 counts on all cells; a hand rubs through it."""
-    counts, clock_ms = sent(hand(25, ("rub", 3.2), lead_s=6.0))
+    counts, clock_ms = sent(hand(25, ("rub", 3.2), lead_s=12.0))
     wave = 6 + 6 * np.sin(2 * np.pi * 4.0 * clock_ms / 1000)
     return Sent(counts_of(counts + wave[:, None, None]), clock_ms)
 
