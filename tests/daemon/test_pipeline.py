@@ -240,7 +240,7 @@ def test_touches_are_named_wherever_the_pad_rests(classifier: Classifier) -> Non
     script = [("notouch", 3.0)]
     for gesture in ("stroke", "rub", "scratch", "pat"):
         script += [(gesture, 3.0), ("notouch", 1.5)]
-    counts = splice(simulate(script, 1)).counts
+    counts = splice(simulate(script, 2)).counts
     differ = np.random.default_rng(0).uniform(0.5, 1.5, (8, 8))
 
     def finals(rest_counts: int) -> list[str]:
