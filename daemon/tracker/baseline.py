@@ -17,6 +17,8 @@ MOST_TRACKED = 1.0 / TRACK_FRAMES
 NOISE_DEVIATIONS = 2.0
 MIN_NOISE_FLOOR = 1.6
 MAX_DEVIATION_COUNTS = 4.0
+# White noise steps from frame to frame by the square root of two times its deviation.
+STEP_NOISE = 0.7
 # The noise floor is at least this many times the slow sway of a body that breathes.
 SWAY_FLOOR = 1.3
 MAX_SWAY_COUNTS = 4.0
@@ -38,12 +40,15 @@ class Baseline:
         self.noise_floor = np.full(TAXELS, MIN_NOISE_FLOOR, np.float32)
         self.sway = np.zeros(TAXELS, np.float32)
         self._deviation = np.zeros(TAXELS, np.float32)
+        self._steps = np.zeros(TAXELS, np.float32)
+        self._before: Taxels | None = None
         self._least_floor = self.noise_floor
 
     def calibrate(self, frames: NDArray[np.float32]) -> None:
         """Take (T, 64) counts as the untouched pad."""
         self.shift(frames)
         self._deviation = np.abs(frames - self.counts).mean(axis=0, dtype=np.float32)
+        self._steps = np.abs(frames[1:] - frames[:-1]).mean(axis=0, dtype=np.float32)
         self._set_noise_floor()
 
     def shift(self, frames: NDArray[np.float32]) -> None:
@@ -58,11 +63,15 @@ class Baseline:
         self._deviation *= 1 - 1 / TRACK_FRAMES
         self._deviation += np.abs(step)
         self._set_noise_floor()
+        if self._before is not None:
+            self._steps += (np.abs(pressure - self._before) - self._steps) / TRACK_FRAMES
+        self._before = pressure.copy()
 
     @property
     def is_disturbed(self) -> bool:
         """Whether the pad is so noisy, not counting its sway, that light touches go unnoticed."""
-        noise_floor = np.maximum(self._deviation * NOISE_DEVIATIONS, MIN_NOISE_FLOOR)
+        # From frame to frame: a rest that has shifted is not noise.
+        noise_floor = np.maximum(self._steps * (STEP_NOISE * NOISE_DEVIATIONS), MIN_NOISE_FLOOR)
         return float(noise_floor.mean()) >= DISTURBED_FLOOR
 
     def track_sway(self, change: Taxels) -> None:
