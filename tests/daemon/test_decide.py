@@ -131,6 +131,14 @@ def test_each_answer_is_reported_and_told_as_expected(steps: list[Step]) -> None
     assert decision.told == told_last
 
 
+@pytest.mark.parametrize("stage", ["revised", "final", "released", "ongoing"])
+def test_an_answer_that_is_too_late_replaces_nothing(stage: Stage) -> None:
+    decision = Decision(SETTINGS, LABELS)
+    decision.answer("early", probabilities(stroke=0.8))
+    answer = decision.answer(stage, probabilities(rub=0.9), may_tell=False)
+    assert (answer.gesture, answer.told, decision.told) == ("stroke", False, "stroke")
+
+
 def test_a_scene_shares_probability_among_its_gestures() -> None:
     decision = Decision(DecisionSettings(gestures=("stroke", "pat")), LABELS)
     answer = decision.answer("early", probabilities(rub=0.5, stroke=0.3, pat=0.1, notouch=0.1))

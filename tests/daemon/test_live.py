@@ -1,5 +1,6 @@
 """The live page's server: viewers get every event, and none of them slows the daemon."""
 
+import asyncio
 import json
 import signal
 import socket
@@ -18,13 +19,15 @@ from rigs.made_events import PREDICTION, TIME
 from rigs.programs import TOUCHD, Program
 from rigs.running_daemon import SERVED, Daemon, totals
 from rigs.sockets import LISTENS, LOOPBACK, sockets
-from rigs.wait import WITHIN_S
+from rigs.wait import SOON_S, WITHIN_S
+from websockets.asyncio import client, server
 from websockets.sync.client import ClientConnection, connect
 
 from touchd.daemon.config import LiveSettings, SensorSettings, Settings
 from touchd.daemon.events import SensorEvent, TouchBegan, TouchEnded, encode
 from touchd.daemon.live.memory import PREDICTIONS, TOUCHES, Memory, Scene
 from touchd.daemon.live.server import CAPACITY, LiveServer
+from touchd.daemon.live.viewers import Viewers
 from touchd.daemon.parts import load_model
 from touchd.daemon.playback.rig import encoder_for
 from touchd.drivers.fakes.fake_port import FakePort
@@ -117,6 +120,28 @@ def test_a_stalled_viewer_does_not_affect_the_others(served: Served, viewer: Cli
         told = [json.loads(message) for message in backlog if isinstance(message, str)]
         state = [message for message in told if message["type"] == "state"][-1]
         assert [touch["began"]["touch"] for touch in state["touches"]] == [1]
+
+
+def test_events_wait_behind_a_long_state_still_being_sent() -> None:
+    state, events = "s" * 1_000_000, ["began", "ended"]
+
+    async def of_a_slow_viewer() -> list[str | bytes]:
+        viewers = Viewers(lambda: [state])
+
+        async def looks(viewer: server.ServerConnection) -> None:
+            assert viewers.add(viewer)
+            for event in events:
+                viewers.tell(event)
+            await viewer.wait_closed()
+
+        # With room for a small part of the state; the rest waits in the server.
+        narrow = socket.create_server(("127.0.0.1", 0))
+        narrow.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
+        url = f"ws://127.0.0.1:{narrow.getsockname()[1]}"
+        async with server.serve(looks, sock=narrow, compression=None), client.connect(url) as slow:
+            return [await asyncio.wait_for(slow.recv(), SOON_S) for _ in range(3)]
+
+    assert asyncio.run(of_a_slow_viewer()) == [state, *events]
 
 
 def test_an_unresponsive_viewer_is_disconnected(monkeypatch: pytest.MonkeyPatch) -> None:

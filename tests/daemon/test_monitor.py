@@ -403,6 +403,24 @@ def test_a_noisy_pad_is_degraded_until_it_is_calm() -> None:
         assert [now.state for now in states_of(monitor, [0])] == [state]
 
 
+def test_a_pad_that_was_gone_is_not_noisy_until_measured_again() -> None:
+    monitor = PadMonitor()
+    for _ in range(NOISY_CHECKS):
+        monitor.on_rest(is_noisy=True, loose_lines=())
+    assert [now.state for now in states_of(monitor, [0])] == ["degraded"]
+    monitor.on_sensor(SensorState("down", "unplugged"))
+    monitor.on_sensor(SensorState("up", ""))
+    assert states_of(monitor, [10_000]) == []
+
+
+def test_a_graver_cause_of_a_degraded_pad_is_reported() -> None:
+    monitor = PadMonitor()
+    for _ in range(NOISY_CHECKS):
+        monitor.on_rest(is_noisy=True, loose_lines=())
+    states = states_of(monitor, range(0, 10_000, 250))
+    assert [state.cause for state in states] == ["noise", "gaps"]
+
+
 def test_each_lasting_cause_of_an_outage_is_reported_once(
     caplog: pytest.LogCaptureFixture,
 ) -> None:

@@ -36,7 +36,9 @@ class Bench:
     def __init__(self, model: Scripted | Classifier | None = None, **settings: Any) -> None:
         self.model = model or Scripted()
         self.emitted: list[Event] = []
-        self.pipeline = Pipeline(PipelineSettings(**settings), self.model, self.emitted.append, STOPPED)
+        self.now_s = STOPPED.monotonic_s()
+        clock = Clock(lambda: self.now_s, STOPPED.epoch_s)
+        self.pipeline = Pipeline(PipelineSettings(**settings), self.model, self.emitted.append, clock)
         self.pad = MadePad()
         self.sent: list[Counts] = []
         self.clock_ms = 0.0
@@ -47,7 +49,7 @@ class Bench:
         before = len(self.emitted)
         for number, counts in enumerate(self.pad.counts(np.concatenate(pressures))):
             if number not in skip:
-                frame = Frame(len(self.sent), round(self.clock_ms), 99.998, counts)
+                frame = Frame(len(self.sent), round(self.clock_ms), self.now_s - 0.002, counts)
                 self.pipeline.on_frame(frame)
             self.sent.append(counts)
             self.clock_ms += 1000 / 54
@@ -455,6 +457,14 @@ def test_a_returning_sensor_is_calibrated_again() -> None:
     bench.clock_ms += 60_000
     assert bench.feel(nothing(2.0)) == []
     assert isinstance(bench.feel(palm(0.5))[0], TouchBegan)
+
+
+def test_a_pad_that_lost_its_supply_for_a_minute_is_answered_again() -> None:
+    bench = Bench()
+    bench.pipeline.on_sensor_state(SensorState("down", "unplugged"))
+    bench.pipeline.on_sensor_state(SensorState("up", ""))
+    bench.now_s += 60.0
+    assert told(bench.feel(nothing(2.0), palm(3.5), nothing(2.0)))
 
 
 def test_the_end_of_the_stream_ends_the_touch_once() -> None:

@@ -51,6 +51,7 @@ def test_the_example_in_the_documentation_is_valid() -> None:
         ("[{do: [{say: '{confidence:.3f}'}]}]", "may hold {gesture}, {name}, {phrase} and {confidence}"),
         ("[{do: [{say: 'a {'}]}]", "write {{ for a brace"),
         ("[{do: [{leds: {color: pink}}]}]", "'pink' is neither #rrggbb nor one of white, red"),
+        ("[{do: [{leds: {color: '#00ff0080'}}]}]", "'#00ff0080' is neither #rrggbb nor"),
         ("[{do: [{say: a}], stages: [middle]}]", "Invalid enum value 'middle'"),
         ("[{do: [{say: a}], refractory_s: -1}]", ">= 0"),
         ("[{do: [{say: a}], stages: [uncertain]}]", "never acts: uncertain is told at stage uncertain"),

@@ -149,6 +149,21 @@ def test_a_clock_is_used_in_the_unit_that_it_counts(counts_a_second: float) -> N
     assert steps_ms.mean() == pytest.approx(counts_a_second * unit_ms / 54, rel=0.01)
 
 
+def test_a_clock_of_epoch_milliseconds_is_kept_to_32_bits() -> None:
+    clock, frames = dated(lambda second: 1_790_000_000_000 + round(1000 * second))
+    assert clock.dates_frames
+    assert is_in_ms(frames)
+    assert max(ms for _, ms in frames) < 2**32
+
+
+def test_after_a_reset_another_clocks_unit_is_found_within_two_seconds() -> None:
+    clock, _ = dated(lambda second: 1000 * second)
+    clock.reset()
+    for number in range(108):
+        clock.judge(1e6 * number / 54, 200.0 + number / 54, STILL)
+    assert clock.dates_frames
+
+
 @pytest.mark.parametrize(
     ("stamp", "why"),
     [

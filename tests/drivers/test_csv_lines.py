@@ -29,6 +29,15 @@ def test_lines_without_a_clock_carry_their_arrival_time() -> None:
     np.testing.assert_array_equal(frame.pressure, counts_of(3))
 
 
+def test_the_line_that_a_reconnect_cut_is_not_used() -> None:
+    parser = parser_of(msgspec.structs.replace(PRESETS["csv"], skip=0))
+    printed = encode_csv_line(counts_of(3), None).split(b",", 1)[1]
+    parser.feed(printed * 3, 1.0)
+    parser.reset()
+    (frame,) = parser.feed(printed[1:] + printed, 2.0)
+    np.testing.assert_array_equal(frame.pressure, counts_of(3))
+
+
 @pytest.mark.parametrize("separator", [b", ", b";", b" ", b"\t", b" , "])
 def test_lines_may_use_any_usual_separator_and_line_end(separator: bytes) -> None:
     data = lines(range(3)).replace(b",", separator).replace(b"\n", b"\r\n\r\n")

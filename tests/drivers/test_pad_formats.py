@@ -1,5 +1,6 @@
 """Every parser's promises for every format: frames in order, damage counted, memory bounded."""
 
+import math
 import random
 from collections.abc import Sequence
 from functools import cache
@@ -181,6 +182,17 @@ def test_negative_values_are_cut_at_0(values: tuple[float, float]) -> None:
         encode_values(signed, np.array(values * 32).astype(np.int16), None), 1.0
     )
     assert frame.pressure.ravel().tolist() == [0, int(values[1])] * 32
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_frame_with_a_cell_that_is_no_number_is_refused(value: float) -> None:
+    described = MORE["floats"]
+    cells = counts_of(9).astype(np.float32)
+    cells[3, 5] = value
+    parser = parser_of(described)
+    data = sent(described, 0) + encode_values(described, cells, None) + sent(described, 1)
+    assert_are(described, parser.feed(data, 1.0), [0, 1])
+    assert parser.counts.bad_value == parser.counts.bad == 1
 
 
 @pytest.mark.parametrize("name", ["itas", "fsr-array"])

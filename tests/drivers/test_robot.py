@@ -4,11 +4,12 @@ import platform
 import sys
 import threading
 from collections.abc import Iterator
+from contextlib import closing
 from typing import Any
 
 import numpy as np
 import pytest
-from rigs.robots import DETAIL, GESTURE, STATUS, Robot, answer, linked, message
+from rigs.robots import DETAIL, GESTURE, STATUS, Robot, answer, hears, linked, message
 
 from touchd.drivers.fakes import fake_robot
 from touchd.drivers.robot.acting import animated_say, run_behavior, say, set_leds
@@ -62,6 +63,16 @@ def test_a_gesture_is_removed_a_second_after_the_last(robot: Robot) -> None:
         assert removed.arguments == (GESTURE,)
         assert 0.9 < removed.time_s - robot.calls.wait_for_raise(GESTURE, "pat").time_s < 5.0
         assert [call.method for call in robot.calls.all()].count("removeData") == 1
+
+
+def test_a_gesture_that_another_program_removed_delays_no_answer(robot: Robot) -> None:
+    other = QiSession(robot.url, None, RobotLimits(), threading.Event())
+    with linked(robot) as (link, _), closing(other):
+        other.connect()
+        hears(robot, link, "stroke")
+        other.call("ALMemory", "removeData", GESTURE, limit_s=5.0)
+        robot.calls.wait_for(lambda call: call.method == "removeData" and bool(call.refused))
+        hears(robot, link, "pat")
 
 
 def test_the_status_follows_the_pad(robot: Robot) -> None:
