@@ -29,6 +29,7 @@ from touchd.drivers.errors import os_errors_as
 from touchd.drivers.installed import program_name
 from touchd.drivers.numbers import within
 from touchd.drivers.pad.format import PRESETS, PadFormat
+from touchd.drivers.pad.names import LastingName, lasting_name
 from touchd.drivers.pad.port import Line, SensorError, at_baud, open_port
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.robot.session import RobotError
@@ -97,6 +98,9 @@ def main(arguments: Sequence[str]) -> int:
     # Without a pad, assume a fabric pad's rate, which is not the first of the usual rates.
     unseen = Found(options.port or DEFAULT_PORT, options.baud or SensorSettings().baud, None)
     port, baud, described = found or unseen
+    # A port that the user typed is written as typed.
+    named = LastingName(port, "as given") if options.port or found is None else lasting_name(port)
+    port = named.port
     robot = _find_robot(console, _ask_robot(console) if options.robot is None else options.robot)
     described_as = _as_settings(described or PRESETS[FABRIC])
     text = f"sensor:\n  port: {_quoted(port)}\n  baud: {baud}\n{described_as}"
@@ -108,7 +112,7 @@ def main(arguments: Sequence[str]) -> int:
         new.write_text(text, encoding="utf-8")
     settings = load(options.file)
     later = f"none found, so {file} describes a fabric pad; for another, plug it in, delete {file} and repeat"
-    console.print(f"pad: {described}, at {port}" if described else f"pad: {later}")
+    console.print(f"pad: {described}, at {port} ({named.why})" if described else f"pad: {later}")
     is_well = described is not None
     if robot:
         check = check_robot(settings)

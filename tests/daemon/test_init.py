@@ -31,6 +31,7 @@ from touchd.daemon.events import SensorEvent, decode
 from touchd.daemon.playback.rig import encoder_for
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.pad.format import PRESETS, PadFormat
+from touchd.drivers.pad.names import LastingName
 from touchd.drivers.pad.port import SensorError
 from touchd.drivers.recording import Stream, ideal_clock_ms
 from touchd.drivers.robot.session import Login, RobotError
@@ -69,6 +70,16 @@ def test_the_pads_port_and_baud_rate_are_found(monkeypatch: pytest.MonkeyPatch) 
     assert (settings.sensor.port, settings.sensor.baud) == (pad.path, 57_600)
     with pytest.raises(ConfigError, match="is there already"):
         write()
+
+
+def test_a_port_that_was_found_is_written_by_a_name_that_lasts(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    lasting = tmp_path / "by-id"
+    monkeypatch.setattr(init, "_find", lambda *_: init.Found("/dev/ttyACM0", 115_200, PRESETS["fabric-grid"]))
+    monkeypatch.setattr(init, "lasting_name", lambda port: LastingName(str(lasting), "it stays"))
+    assert write() == 0
+    assert load(FILE).sensor.port == str(lasting)
 
 
 @pytest.mark.parametrize("typed", ["16", "3x8", "8x65", "x", "8x8x8"])
