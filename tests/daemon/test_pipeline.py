@@ -467,6 +467,20 @@ def test_a_pad_that_lost_its_supply_for_a_minute_is_answered_again() -> None:
     assert told(bench.feel(nothing(2.0), palm(3.5), nothing(2.0)))
 
 
+def test_a_revision_that_comes_too_late_is_not_told() -> None:
+    class Turning(Scripted):
+        def answer(self) -> NDArray[np.float64]:
+            turned = len(self.stepped[-1]) > EARLY[1]
+            return np.array([0.94 if label == ("rub" if turned else "stroke") else 0.01 for label in LABELS])
+
+    bench = Bench(Turning())
+    assert told(bench.feel(palm(1.2))) == [("early", "stroke")]
+    # The next frames were held up on their way.
+    bench.now_s += 5.0
+    late = bench.feel(palm(0.6))
+    assert (answered(late), told(late)) == ([REVISED], [])
+
+
 def test_the_end_of_the_stream_ends_the_touch_once() -> None:
     bench = Bench()
     bench.feel(palm(0.5))

@@ -238,6 +238,13 @@ def test_a_touch_ends_despite_shifted_rest_or_noise(
     assert isinstance(pad.feel(disturbed(fold(0.2) + palm(0.2, counts=40.0)))[0], Onset)
 
 
+def test_a_light_touch_that_leaves_a_fold_is_dated_by_the_hand(pad: TrackedPad) -> None:
+    pad.feel(palm(3.0, counts=10.0))
+    left = pad.index
+    (release,) = pad.feel(fold(4.0))
+    assert abs(release.last_index - left) <= 27
+
+
 def residue(seconds: float, counts: float) -> Scans:
     """What a hug leaves on a soft pad: a tenth of it, which creeps back slowly."""
     frames = np.arange(round(54 * seconds), dtype=np.float32)
@@ -441,6 +448,25 @@ def test_a_pause_does_not_split_a_touch_the_network_sees(seen: TrackedPad, netwo
     changes = seen.feel(pat(2.0), nothing(1.8), pat(2.0))
     network.no_touch = 0.9
     assert [type(change) for change in [*changes, *seen.feel(2.0)]] == [Onset, Release]
+
+
+# The pad is jolted: three rows rise for less than half a second.
+JOLT = np.concatenate([at(nothing(0.4), slice(3, 6), slice(8), 3.0), nothing(0.6)])
+
+
+def test_a_jolt_like_one_that_was_no_touch_begins_none(network: Network) -> None:
+    pad = TrackedPad(TouchSettings(onset_threshold=5.0), network)
+    assert pad.feel(5.0, JOLT) == []
+    network.no_touch = 0.02
+    assert pad.feel(JOLT, 2.0) == []
+
+
+def test_a_jolted_pad_does_not_prolong_a_touch(seen: TrackedPad) -> None:
+    assert seen.feel(3.0, JOLT) == []
+    seen.feel(palm(1.0, counts=20.0))
+    left = seen.index
+    (release,) = seen.feel(0.4, palm(0.4, counts=3.0, trembling=False), 1.0)
+    assert release.last_index == left - 1
 
 
 def test_slow_movement_of_a_body_begins_no_touch(seen: TrackedPad) -> None:
