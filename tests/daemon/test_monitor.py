@@ -403,7 +403,8 @@ def test_a_noisy_pad_is_degraded_until_it_is_calm() -> None:
         assert [now.state for now in states_of(monitor, [0])] == [state]
 
 
-def test_a_pad_that_was_gone_is_not_noisy_until_measured_again() -> None:
+def test_a_pad_that_was_gone_is_not_noisy_until_measured_again(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
     monitor = PadMonitor()
     for _ in range(NOISY_CHECKS):
         monitor.on_rest(is_noisy=True, loose_lines=())
@@ -411,6 +412,7 @@ def test_a_pad_that_was_gone_is_not_noisy_until_measured_again() -> None:
     monitor.on_sensor(SensorState("down", "unplugged"))
     monitor.on_sensor(SensorState("up", ""))
     assert states_of(monitor, [10_000]) == []
+    assert "no longer" not in caplog.text
 
 
 def test_a_graver_cause_of_a_degraded_pad_is_reported() -> None:
