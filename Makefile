@@ -3,7 +3,7 @@
 # make help    lists the rest
 
 .DEFAULT_GOAL := help
-.PHONY: help demo setup test test-slow test-systemd check lint format expectations bench soak lock install \
+.PHONY: help demo setup test test-slow test-systemd check lint format expectations bench soak mutants lock install \
 	install-program install-files deb uninstall clean
 
 # The first interpreter that fits and can make a virtual environment, one for which there is qi if possible;
@@ -59,6 +59,7 @@ help:
 	@echo "make bench         latency, processor, memory, start-up and speed of the real daemon"
 	@echo "make soak          24 hours of sensor time flat out: nothing grows, nothing is lost (some twenty minutes)"
 	@echo "make expectations  rebuild the expected events beside the recordings in tests/recordings (ADD=FILE adds one)"
+	@echo "make mutants       put small faults into FILES, one at a time, and list those that TESTS let through"
 	@echo "make install       put the service in place, or upgrade it (sudo; EXTRAS, PREFIX); make uninstall removes it"
 	@echo "make deb           build a Debian package in dist/, with the same layout"
 	@echo "make lock          renew the versions that make and CI install"
@@ -97,6 +98,16 @@ soak: $(RUNTIME)
 
 expectations: $(RUNTIME)
 	PYTHONPATH=tests $(BIN)/python -m rigs.rebuild $(if $(RECORD),--record) $(if $(ADD),--add $(ADD))
+
+# cosmic-ray has an environment of its own: no test and nothing that is installed needs it. A file takes minutes;
+# all tests for each fault, hours.
+MUTATION := $(VENV)/mutation
+TESTS ?= tests
+mutants: $(DEVELOPMENT)
+	@test -n '$(FILES)' || { echo 'make mutants FILES=daemon/decide.py TESTS=tests/daemon/test_decide.py'; exit 1; }
+	@test -e $(MUTATION)/bin/cosmic-ray || { $(BIN)/python -m venv $(MUTATION) && \
+	  $(MUTATION)/bin/python -m pip install -q --disable-pip-version-check 'cosmic-ray>=8.7,<9'; }
+	@PYTHONPATH=.:tests nice -n 15 $(BIN)/python -m by_hand.mutants --tool $(MUTATION) --tests '$(TESTS)' $(FILES)
 
 # PREFIX/touchd becomes a virtual environment of the service's own. DESTDIR: where a package is put together.
 # BINDIR: where the command is linked, for every shell. SYSTEM: where systemd and udev look, /usr/lib in a package.

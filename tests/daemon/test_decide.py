@@ -155,9 +155,17 @@ def test_a_scene_the_model_rules_out_is_answered_evenly() -> None:
     assert not answer.told
 
 
-def test_stages_out_of_order_are_refused() -> None:
+@pytest.mark.parametrize("stages", [(54, 54, 144), (54, 144, 81)])
+def test_stages_out_of_order_are_refused(stages: tuple[int, int, int]) -> None:
     with pytest.raises(ValueError, match="must rise"):
-        DecisionSettings(answer_at_frames=(54, 54, 144))
+        DecisionSettings(answer_at_frames=stages)
+
+
+def test_a_hand_that_has_left_is_answered_from_speak_above_on() -> None:
+    decision = Decision(SETTINGS, LABELS)
+    assert decision.is_sure_of_released(probabilities(pat=0.6))
+    assert not decision.is_sure_of_released(probabilities(pat=0.59))
+    assert not decision.is_sure_of_released(probabilities(notouch=0.9))
 
 
 def test_a_final_answer_below_final_above_ends_uncertain() -> None:
