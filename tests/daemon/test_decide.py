@@ -193,6 +193,12 @@ def test_no_answer_is_sure_before_a_sixth_of_a_second() -> None:
     assert [at for at in range(1, 12) if decision.is_sure(probabilities(stroke=0.99), at)] == [9, 10, 11]
 
 
+def test_an_early_answer_of_exactly_speak_above_is_sure() -> None:
+    decision = Decision(DecisionSettings(early="when_sure", sure="eager", speak_above=0.6), LABELS)
+    assert decision.is_sure(probabilities(stroke=0.6), 54)
+    assert not decision.is_sure(probabilities(stroke=0.59), 54)
+
+
 @pytest.mark.parametrize(
     ("at_final", "lately", "changed"),
     [
@@ -200,6 +206,8 @@ def test_no_answer_is_sure_before_a_sixth_of_a_second() -> None:
         ({"stroke": 0.9, "rub": 0.01}, {"rub": 0.5, "stroke": 0.3}, False),
         ({"stroke": 0.5, "rub": 0.4}, {"rub": 0.9, "stroke": 0.01}, False),
         ({"stroke": 0.9, "rub": 0.01}, {"stroke": 0.9, "rub": 0.01}, False),
+        ({"stroke": 0.97, "rub": 0.005}, {"rub": 0.7, "stroke": 0.25}, True),
+        ({"stroke": 0.98, "rub": 0.0001}, {"rub": 0.45, "stroke": 0.4}, False),
     ],
 )
 def test_a_gesture_changes_only_on_clear_evidence(
