@@ -18,7 +18,7 @@ EARLIEST_FRAMES = 9
 
 # A gesture has changed when the log odds between the told one and another have shifted by this much since the
 # last answer. Probabilities below the second constant are raised to it.
-CHANGED_LOG_ODDS = 5.5
+CHANGED_LOG_ODDS = 6.5
 LEAST_PROBABILITY = 0.01
 
 Sure: TypeAlias = Literal["eager", "balanced"]

@@ -20,12 +20,12 @@ from touchd.drivers.frame import (
     COLUMNS,
     DEFAULT_PAD,
     FRAME_RATE_HZ,
+    MIN_RATE_HZ,
     ROWS,
     Counts,
     Frame,
     SensorState,
 )
-from touchd.drivers.pad.pace import LEAST_RATE_HZ
 from touchd.drivers.pad.parser import FrameParser
 
 log = logging.getLogger(__name__)
@@ -170,7 +170,7 @@ class _Gaps:
         if self._without_gap >= WITHOUT_GAP_FRAMES:
             self._since_s = frame.host_s
             rate_hz = 1000 * (WITHOUT_GAP_FRAMES - 1) / self._clock_ms if self._clock_ms else FRAME_RATE_HZ
-            if rate_hz >= LEAST_RATE_HZ - 0.5:
+            if rate_hz >= MIN_RATE_HZ - 0.5:
                 self.faults.clear()
             else:
                 self.faults["gaps"] = _too_slow(rate_hz)
@@ -187,7 +187,7 @@ class _Gaps:
                 "the pad's clock goes back and forth; do frames overtake one another on the way, or do two "
                 "boards send there?"
             )
-        if rate_hz >= LEAST_RATE_HZ:
+        if rate_hz >= MIN_RATE_HZ:
             return (
                 f"{rate_hz:.0f} frames a second come, with gaps of up to {max(steps_ms)} ms; are frames lost "
                 "on the way?"
@@ -202,7 +202,7 @@ class _Gaps:
 
 def _too_slow(rate_hz: float) -> str:
     return (
-        f"{rate_hz:.1f} frames a second come, and {LEAST_RATE_HZ:.0f} or more are needed, best "
+        f"{rate_hz:.1f} frames a second come, and {MIN_RATE_HZ:.0f} or more are needed, best "
         f"{FRAME_RATE_HZ:.0f}"
     )
 

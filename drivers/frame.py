@@ -12,7 +12,7 @@ COLUMNS = 8
 MAX_COUNT = 1023
 FRAME_RATE_HZ = 54.0
 MIN_RATE_HZ = 8.0
-"""A pad that sends fewer frames a second is refused."""
+"""With fewer frames a second, touches are not recognised: init, doctor and run say so."""
 CLOCK_MODULUS = 2**32
 """The sensor's clock, in ms, wraps to 0 here."""
 DEFAULT_PAD = "pad"

@@ -11,10 +11,10 @@ from touchd.daemon.doctor.check import Check
 from touchd.daemon.doctor.listening import START_S, Sample, listen
 from touchd.daemon.doctor.machine import service_runs
 from touchd.daemon.monitor import MANY_SHARE
-from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
+from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, MIN_RATE_HZ, ROWS
 from touchd.drivers.pad.arrived import is_text, looks_like
 from touchd.drivers.pad.format import PadFormat
-from touchd.drivers.pad.pace import LEAST_RATE_HZ, clock_by_ours, pace_of
+from touchd.drivers.pad.pace import clock_by_ours, pace_of
 from touchd.drivers.pad.port import Line, SensorError, at_baud, check_port, open_port
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.search.listen import USUAL_BAUDS, Chunk
@@ -180,8 +180,8 @@ def check_rate(sample: Sample) -> Check:
         return Check("rate", "to do", found, ADVICE_FOR_BYTES["clock"], figures)
     if round(pace.rate_hz) < SLOW_HZ:
         advice = "have the firmware scan at 54 Hz; at 115200 baud a 10x10 frame just fits: use 512000"
-        if round(pace.rate_hz) < LEAST_RATE_HZ:
-            return Check("rate", "to do", f"{found}; {LEAST_RATE_HZ:g} are needed", advice, figures)
+        if round(pace.rate_hz) < MIN_RATE_HZ:
+            return Check("rate", "to do", f"{found}; {MIN_RATE_HZ:g} are needed", advice, figures)
         if round(pace.rate_hz) < FEW_HZ:
             found += f"; below {FEW_HZ:g} fast gestures are often wrong"
             return Check("rate", "warning", found, advice, figures)

@@ -12,8 +12,8 @@ from touchd.daemon.config import Settings
 from touchd.daemon.monitor import TaxelFaults
 from touchd.daemon.recorder.who import Setting
 from touchd.daemon.tracker.tracker import Onset, Release, TouchTracker
-from touchd.drivers.frame import CLOCK_MODULUS, NO_TOUCH, Frame, SensorState
-from touchd.drivers.pad.grid import MAX_GAP_S, Ring
+from touchd.drivers.frame import CLOCK_MODULUS, MIN_RATE_HZ, NO_TOUCH, Frame, SensorState
+from touchd.drivers.pad.grid import Ring
 from touchd.drivers.pad.pace import clock_ms, pace_of
 from touchd.drivers.pad.port import check_port
 from touchd.drivers.pad.protocol import parser_of
@@ -24,7 +24,6 @@ SILENCE_S = 2.5
 RESTARTED_MS = 1000
 MOST_LOST_SHARE = 0.02
 LEAST_TOUCHED_SHARE = 0.5
-LEAST_RATE_HZ = 1.0 / MAX_GAP_S
 # A touch that ended is at most this old: the quiet that ends it comes on top of the time for a single one.
 HISTORY_FRAMES = 1000
 SINGLE_WITHIN_S, LONGEST_SINGLE_S = 8.0, 2.0
@@ -198,8 +197,8 @@ def complaints(capture: Capture, gesture: str, troubles: list[str]) -> list[str]
     """Return reasons to repeat a recording, one line each; none if it is usable."""
     found = list(troubles)
     pace = pace_of(capture.frames)
-    if pace.rate_hz < LEAST_RATE_HZ:
-        found.append(f"{pace.rate_hz:.1f} frames a second arrive; more than {LEAST_RATE_HZ:.0f} are needed")
+    if pace.rate_hz < MIN_RATE_HZ:
+        found.append(f"{pace.rate_hz:.1f} frames a second arrive; {MIN_RATE_HZ:.0f} or more are needed")
         return found
     if pace.lost > MOST_LOST_SHARE * len(capture.frames):
         found.append(f"{pace.lost} frames were lost: check cable and plug")

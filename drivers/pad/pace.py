@@ -11,8 +11,6 @@ from touchd.drivers.frame import CLOCK_MODULUS, Frame
 # A step between two frames that is longer than usual by this factor has lost a frame.
 LOST_STEP = 1.75
 COMPARABLE_S = 1.5
-# Below this many frames a second touches are not recognised.
-LEAST_RATE_HZ = 8.0
 
 
 @dataclass(frozen=True)

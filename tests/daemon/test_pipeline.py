@@ -300,7 +300,7 @@ def test_a_lasting_change_of_gesture_is_told() -> None:
     events = bench.feel(palm(8.0, counts=60.0), nothing(2.0))
     assert told(events) == [("early", "stroke"), ("ongoing", "rub")]
     assert answered(events) == [EARLY, REVISED, FINAL, ("ongoing", 40)]
-    assert predictions(events)[-1].elapsed_s == 3.667
+    assert predictions(events)[-1].elapsed_s == 4.0
     assert [end.gesture for end in ended(events)] == ["rub"]
 
 

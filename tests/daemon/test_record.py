@@ -164,7 +164,7 @@ def captured(touched_share: float, clock_ms: Iterable[int] = range(0, 1900, 19))
         (captured(0.1), "notouch", ["something touched the pad"]),
         (captured(0.0), "pat", ["no touch was detected"]),
         (captured(0.2), "purr", ["only 20%"]),
-        (captured(0.0, range(0, 4000, 204)), "pat", ["4.9 frames a second arrive; more than 5 are needed"]),
+        (captured(0.0, range(0, 4000, 130)), "pat", ["7.7 frames a second arrive; 8 or more are needed"]),
         (captured(1.0, sorted({*range(0, 1900, 19)} - {380, 399, 950})), "pat", ["3 frames were lost"]),
     ],
 )
