@@ -206,7 +206,7 @@ def test_an_early_answer_of_exactly_speak_above_is_sure() -> None:
         ({"stroke": 0.9, "rub": 0.01}, {"rub": 0.5, "stroke": 0.3}, False),
         ({"stroke": 0.5, "rub": 0.4}, {"rub": 0.9, "stroke": 0.01}, False),
         ({"stroke": 0.9, "rub": 0.01}, {"stroke": 0.9, "rub": 0.01}, False),
-        ({"stroke": 0.97, "rub": 0.005}, {"rub": 0.7, "stroke": 0.25}, True),
+        ({"stroke": 0.97, "rub": 0.005}, {"rub": 0.85, "stroke": 0.1}, True),
         ({"stroke": 0.98, "rub": 0.0001}, {"rub": 0.45, "stroke": 0.4}, False),
     ],
 )

@@ -83,7 +83,7 @@ function announce(prediction) {
   announced = said;
   const answer = answerOf(prediction);
   const where = stores.size > 1 ? ` (${prediction.pad})` : "";
-  announcer.say("answer", `Touch ${prediction.touch}${where}: ${answer}`);
+  announcer.say("answer", `${prediction.touch}${where}: ${answer}`);
 }
 
 /** Keep a store for each pad; the first is shown large until another is chosen. */
