@@ -110,7 +110,7 @@ class Decision:
         False when it is too late to tell. An "ongoing" answer is reported, and stands, only if it is told.
         """
         scene = self.weigh(probabilities)
-        best = max(scene, key=lambda label: scene[label])
+        best = _likeliest(scene)
         may_tell = may_tell and best != NO_TOUCH
         tell = stage != "uncertain" and may_tell and self._is_told(stage, best, scene)
         if stage == "uncertain" or (stage == "released" and self.told is None and not tell):
@@ -135,7 +135,7 @@ class Decision:
     def is_sure_of_released(self, probabilities: NDArray[np.float64]) -> bool:
         """Whether to answer a touch whose hand has just left, before its quiet time shows that it is over."""
         scene = self.weigh(probabilities)
-        best = max(scene, key=lambda label: scene[label])
+        best = _likeliest(scene)
         return self.told is None and best != NO_TOUCH and scene[best] >= self._settings.speak_above
 
     def has_changed(self, probabilities: NDArray[np.float64]) -> bool:
@@ -157,7 +157,7 @@ class Decision:
     def is_sure(self, probabilities: NDArray[np.float64], frames: int) -> bool:
         """Whether to answer early now, `frames` into the touch; False for an answer that may not be told."""
         scene = self.weigh(probabilities)
-        best = max(scene, key=lambda label: scene[label])
+        best = _likeliest(scene)
         limit = max(sure_above(SURE[self._settings.sure], frames), self._settings.speak_above)
         return frames >= EARLIEST_FRAMES and best != NO_TOUCH and scene[best] >= limit
 
@@ -177,3 +177,7 @@ class Decision:
         if total <= 0.0:
             kept, total = self._occurs.astype(np.float64), float(self._occurs.sum())
         return dict(zip(self._labels, (kept / total).tolist(), strict=True))
+
+
+def _likeliest(scene: dict[str, float]) -> str:
+    return max(scene, key=lambda label: scene[label])

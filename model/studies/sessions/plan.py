@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, NO_TOUCH, ROWS, Counts
 from touchd.drivers.recording import Recording, set_up
+from touchd.model.training.contacts import shift_of_rest
 
 QUIET_FRAMES = 162
 SKIPPED_FRAMES = 54
@@ -21,8 +22,6 @@ Scans = NDArray[np.uint16] | NDArray[np.float32]
 Condition = tuple[str, str, str]
 """Person, substrate and cover."""
 LIFTS_OFF = ("pat", "stroke", "tickle")
-BLOCK_FRAMES = 9
-MAX_SHIFT_COUNTS = 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,12 +115,7 @@ def _session(
 
 def _levelled(still: NDArray[np.int64], touch: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the quiet frames shifted to the lightest sixth of a second of the touch, taxel by taxel."""
-    blocks = [
-        np.median(touch[start : start + BLOCK_FRAMES], axis=0)
-        for start in range(0, len(touch) - BLOCK_FRAMES + 1, BLOCK_FRAMES)
-    ]
-    shift = np.rint(np.min(blocks, axis=0) - np.median(still, axis=0))
-    levelled: NDArray[np.int64] = still + np.clip(shift, -MAX_SHIFT_COUNTS, MAX_SHIFT_COUNTS).astype(np.int64)
+    levelled: NDArray[np.int64] = still + shift_of_rest(touch, still).astype(np.int64)
     return np.clip(levelled, 0, MAX_COUNT)
 
 
