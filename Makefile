@@ -42,9 +42,8 @@ unknown='$(filter-out nao live $(OTHER_EXTRAS),$(WANTED))'; test -z "$$unknown" 
   { echo "there is no extra $$unknown; EXTRAS takes $(OTHER_EXTRAS)"; exit 1; }
 endef
 
-# Where development gets torch: without an NVIDIA GPU, from the index of the build for processors alone, 1 GB on the
-# disk. TORCH_INDEX= (empty) takes the build with CUDA, 6 GB, from the ordinary index, as for a machine that reaches
-# no other.
+# The only index from which development gets torch: without an NVIDIA GPU, that of the build for processors alone, 1 GB
+# on the disk. TORCH_INDEX= (empty) is the ordinary index, with CUDA, 6 GB: for GPUs, and where no other is reached.
 TORCH_ON_CPU := https://download.pytorch.org/whl/cpu
 TORCH_INDEX ?= $(if $(shell command -v nvidia-smi),,$(TORCH_ON_CPU))
 RUNTIME := $(VENV)/.runtime.stamp
@@ -233,9 +232,14 @@ $(RUNTIME): pyproject.toml requirements.lock | $(BIN)/python
 
 $(DEVELOPMENT): pyproject.toml constraints.txt | $(BIN)/python
 	@echo "Installing what development and training need (once; some minutes)"
-	@test -n '$(TORCH_INDEX)' && echo "torch from $(TORCH_INDEX): 1 GB on the disk" && \
-	  $(PIP) -qq --retries 1 --timeout 10 --no-deps --constraint constraints.txt --index-url $(TORCH_INDEX) torch 2>/dev/null || \
-	  echo "torch from the ordinary index, with CUDA: 6 GB on the disk; Ctrl-C stops it"
+ifneq ($(TORCH_INDEX),)
+	@echo "torch from $(TORCH_INDEX): 1 GB on the disk"
+	@$(PIP) -qq --retries 1 --timeout 10 --no-deps --constraint constraints.txt --index-url $(TORCH_INDEX) torch \
+	  2> $(VENV)/torch.log || { echo "torch cannot be installed from there ($(VENV)/torch.log says why);" \
+	  "make test TORCH_INDEX= takes it from the ordinary index, with CUDA: 6 GB"; exit 1; }
+else
+	@echo "torch from the ordinary index, with CUDA: 6 GB on the disk; Ctrl-C stops it"
+endif
 	@$(PIP) -qq --constraint constraints.txt --editable '.[dev]'
 	@mkdir -p $(VENV)/names && ln -sfn ../.. $(VENV)/names/touchd
 	@touch $(RUNTIME) $@

@@ -60,7 +60,11 @@ class PadChannel:
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """The configured pads and sinks; a sink that is not configured is None. Nothing runs yet."""
+    """The configured pads and sinks; a sink that is not configured is None. Nothing runs yet.
+
+    labeller: takes the labels of the live page, None if it takes none. Others share it, so that all labels
+    are counted together.
+    """
 
     pads: tuple[PadChannel, ...]
     journal: JournalSink | None
@@ -68,6 +72,7 @@ class Parts:
     kept: TouchSink | None
     robot: RobotSink | None
     bridges: tuple[Bridge, ...]
+    labeller: Labeller | None
 
     @property
     def sinks(self) -> tuple[Sink, ...]:
@@ -100,12 +105,15 @@ def make_parts(
             monitor=PadMonitor(name, sensor.parser, sensor.where),
         )
         pads.append(PadChannel(name, models[name], queue, sensor, pipeline))
+    takes_labels = settings.live is not None and settings.live.label
+    labeller = make_labeller(settings, models, emit) if takes_labels else None
     return Parts(
         pads=tuple(pads),
+        labeller=labeller,
         kept=keep_touches(settings),
         robot=link_to_robot(settings, emit),
         journal=open_journal(settings.journal),
-        live=open_live_page(settings, models, emit),
+        live=open_live_page(settings, models, labeller),
         bridges=bridges_to_others(settings, models, config),
     )
 
@@ -171,9 +179,9 @@ def link_to_robot(
 
 
 def open_live_page(
-    settings: Settings, models: Mapping[str, Classifier], emit: Emit = lambda event: None
+    settings: Settings, models: Mapping[str, Classifier], labeller: Labeller | None = None
 ) -> LiveServer | None:
-    """Return the server of the live page, if one is configured; raises LiveError. emit: receives labels."""
+    """Return the server of the live page, if one is configured; raises LiveError."""
     if settings.live is None:
         return None
     from touchd.daemon.live.address import listen, require_library
@@ -183,7 +191,6 @@ def open_live_page(
     from touchd.daemon.live.server import LiveServer
 
     scenes = {name: Scene(pad, models[name]) for name, pad in settings.pads.items()}
-    labeller = make_labeller(settings, models, emit) if settings.live.label else None
     return LiveServer(listen(settings.live), settings.live, scenes, labeller=labeller)
 
 

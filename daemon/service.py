@@ -52,7 +52,7 @@ class Service:
         self.tell(view)
         self._view = view
         models = {pad.name: pad.model for pad in self._parts.pads}
-        view.labeller = make_labeller(self._settings, models, self.events.emit)
+        view.labeller = self._parts.labeller or make_labeller(self._settings, models, self.events.emit)
 
     def run(self, must_stop: Callable[[], bool]) -> None:
         """Run until `must_stop` returns True; then end current touches and stop every sink."""

@@ -1,5 +1,6 @@
 """Labels: what a person says that a touch was, as events and as advice."""
 
+import itertools
 import os
 import signal
 import termios
@@ -13,9 +14,14 @@ from rigs.patient_port import playing
 from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S, wait_for
 
+from touchd.daemon.config import LiveSettings, Settings
 from touchd.daemon.events import Event, Label, decode, encode
+from touchd.daemon.health import Health, Notifier
 from touchd.daemon.kept.touch_store import TouchStore, folder_of, kept_touches
 from touchd.daemon.labels import LabelError, Labeller
+from touchd.daemon.service import Service
+from touchd.daemon.terminal.view import View
+from touchd.daemon.words import vocabulary
 
 GESTURES = ("notouch", "pat", "stroke")
 
@@ -52,6 +58,20 @@ def test_without_kept_frames_it_says_how_to_keep_them() -> None:
     labeller = Labeller(lambda _: None, {"pad": GESTURES}, {})
     said = [labeller.label("pad", touch, "pat") for touch in range(10)]
     assert "journal.keep_touches" in said[-1]
+
+
+def test_labels_from_the_terminal_and_the_page_are_counted_together() -> None:
+    settings = Settings(live=LiveSettings(port=0, label=True), journal=None)
+    service = Service(settings, Health(Notifier({})))
+    view = View("", vocabulary("en", {}), (54,))
+    service.show_on(view)
+    page = service._parts.labeller
+    assert page is not None and view.labeller is not None
+    takers = itertools.cycle([page, view.labeller])
+    said = [next(takers).label("pad", touch, "pat") for touch in range(10)]
+    assert [bool(line) for line in said] == [False] * 9 + [True]
+    assert service._parts.live is not None
+    service._parts.live.stop(1.0)
 
 
 def test_a_key_says_what_the_touch_on_the_screen_was(tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from touchd.daemon.events import Event, Label, TouchBegan, TouchEnded
 from touchd.daemon.labels import ENOUGH
 from touchd.daemon.live.label import is_here
 from touchd.daemon.live.server import LiveServer
-from touchd.daemon.parts import load_model, open_live_page
+from touchd.daemon.parts import load_model, make_labeller, open_live_page
 
 SAID = '{"pad":"pad","touch":1,"gesture":"stroke"}'
 
@@ -66,7 +66,8 @@ def labelled() -> Iterator[Labelled]:
         events.append(event)
         page.put(event)
 
-    page = open_live_page(settings, {"pad": load_model(settings)}, emit)
+    models = {"pad": load_model(settings)}
+    page = open_live_page(settings, models, make_labeller(settings, models, emit))
     assert page is not None
     page.start()
     rig = Labelled(page, events)

@@ -347,24 +347,13 @@ def test_the_installed_program_runs(make: Make, tmp_path: Path, source: Path) ->
             ["torch from http://reached: 1 GB"],
             ["http://reached", "constraints.txt"],
         ),
-        (
-            "TORCH_INDEX=http://away",
-            ["torch from http://away: 1 GB", "torch from the ordinary index, with CUDA: 6 GB"],
-            ["http://away", "constraints.txt"],
-        ),
         ("TORCH_INDEX=", ["torch from the ordinary index, with CUDA: 6 GB"], ["constraints.txt"]),
     ],
 )
 def test_development_says_how_large_torch_is_first(
     make: Make, tmp_path: Path, index: str, said: list[str], asked: list[str]
 ) -> None:
-    # Stands in for pip: the first index cannot be reached.
-    python = tmp_path / "venv/bin/python"
-    python.parent.mkdir(parents=True)
-    python.write_text(
-        f'#!/bin/sh\necho "$@" >> {tmp_path}/asked\ncase "$*" in *http://away*) exit 1;; esac\n'
-    )
-    python.chmod(0o755)
+    stand_in_for_pip(tmp_path)
     printed = make(f"{tmp_path}/venv/.development.stamp", f"VENV={tmp_path}/venv", index)
     lines = [line for line in printed.splitlines() if "torch" in line]
     assert len(lines) == len(said)
@@ -372,3 +361,26 @@ def test_development_says_how_large_torch_is_first(
     calls = (tmp_path / "asked").read_text().splitlines()
     assert len(calls) == len(asked)
     assert all(part in call for part, call in zip(asked, calls, strict=True))
+
+
+def stand_in_for_pip(folder: Path) -> None:
+    """Make venv/bin/python, which notes what it is asked for and fails where the index is away."""
+    python = folder / "venv/bin/python"
+    python.parent.mkdir(parents=True)
+    python.write_text(
+        f'#!/bin/sh\necho "$@" >> {folder}/asked\ncase "$*" in *http://away*) echo gone >&2; exit 1;; esac\n'
+    )
+    python.chmod(0o755)
+
+
+def test_torch_comes_from_no_other_index_than_said(tmp_path: Path) -> None:
+    stand_in_for_pip(tmp_path)
+    venv = tmp_path / "venv"
+    done = ran(
+        ["make", "-C", ROOT, venv / ".development.stamp", f"VENV={venv}", "TORCH_INDEX=http://away"],
+    )
+    assert done.returncode != 0
+    assert "make test TORCH_INDEX= takes it from the ordinary index, with CUDA: 6 GB" in done.stdout
+    (call,) = (tmp_path / "asked").read_text().splitlines()
+    assert "--index-url http://away torch" in call
+    assert (venv / "torch.log").read_text() == "gone\n"
