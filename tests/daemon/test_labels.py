@@ -66,7 +66,8 @@ def test_labels_from_the_terminal_and_the_page_are_counted_together() -> None:
     view = View("", vocabulary("en", {}), (54,))
     service.show_on(view)
     page = service._parts.labeller
-    assert page is not None and view.labeller is not None
+    assert page is not None
+    assert view.labeller is not None
     takers = itertools.cycle([page, view.labeller])
     said = [next(takers).label("pad", touch, "pat") for touch in range(10)]
     assert [bool(line) for line in said] == [False] * 9 + [True]
