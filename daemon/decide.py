@@ -112,7 +112,7 @@ class Decision:
         scene = self.weigh(probabilities)
         best = _likeliest(scene)
         may_tell = may_tell and best != NO_TOUCH
-        tell = stage != "uncertain" and may_tell and self._is_told(stage, best, scene)
+        tell = may_tell and self._is_told(stage, best, scene)
         if stage == "uncertain" or (stage == "released" and self.told is None and not tell):
             # A touch without a name is told, unless the model sees no touch at all.
             perhaps = "" if best == NO_TOUCH else best

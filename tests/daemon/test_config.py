@@ -62,7 +62,7 @@ def test_the_example_shows_the_defaults(tmp_path: Path) -> None:
     assert shown.touch == default.touch
     assert shown.sensor.described == default.sensor.described
     assert (shown.sensor.port, shown.sensor.baud) == (default.sensor.port, default.sensor.baud)
-    for name in ("answer_at_frames", "speak_above", "revise_margin", "stale_s"):
+    for name in ("answer_at_frames", "early", "sure", "speak_above", "revise_margin", "stale_s", "ongoing"):
         assert getattr(shown.scene, name) == getattr(default.scene, name)
 
 
@@ -180,6 +180,24 @@ def test_a_mistake_is_named_in_one_line(tmp_path: Path, text: str, message: str)
 def test_zero_is_refused_after_the_model_is_loaded(tmp_path: Path, text: str) -> None:
     Classifier.load(SHIPPED_MODEL)
     assert "must be >= 0.001" in refusal(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    ("setting", "taken", "refused"),
+    [
+        ("scene: {answer_at_frames: [%s, 2, 3]}", [1], [0]),
+        ("scene: {answer_at_frames: [1, 2, %s]}", [432], [433]),
+        ("scene: {speak_above: %s}", [0, 1], [-0.01, 1.01]),
+        ("scene: {stale_s: %s}", [0.001, 60], [60.1]),
+    ],
+)
+def test_a_setting_takes_its_whole_range(
+    tmp_path: Path, setting: str, taken: list[float], refused: list[float]
+) -> None:
+    for value in taken:
+        loaded(tmp_path, setting % value)
+    for value in refused:
+        assert "must be" in refusal(tmp_path, setting % value)
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:

@@ -139,6 +139,32 @@ def test_an_answer_that_is_too_late_replaces_nothing(stage: Stage) -> None:
     assert (answer.gesture, answer.told, decision.told) == ("stroke", False, "stroke")
 
 
+@pytest.mark.parametrize("label", LABELS)
+def test_every_gesture_can_be_told_and_no_touch_cannot(label: str) -> None:
+    said, is_touch = probabilities(**{label: 0.9}), label != "notouch"
+    eager = DecisionSettings(early="when_sure", sure="eager")
+    assert Decision(SETTINGS, LABELS).answer("early", said).told == is_touch
+    assert Decision(eager, LABELS).is_sure(said, 54) == is_touch
+    assert Decision(SETTINGS, LABELS).is_sure_of_released(said) == is_touch
+    ended = Decision(SETTINGS, LABELS).answer("uncertain", said)
+    assert (ended.told, ended.perhaps) == (is_touch, label if is_touch else "")
+
+
+def test_limits_are_reached_by_equal_values() -> None:
+    settings = DecisionSettings(gestures=("rub", "stroke"), speak_above=0.5, revise_margin=0.25)
+    decision = Decision(settings, LABELS)
+    stroke, rub = (
+        probabilities(**said)
+        for said in (
+            {"stroke": 0.5, "rub": 0.25, "notouch": 0.25},
+            {"rub": 0.5, "stroke": 0.25, "notouch": 0.25},
+        )
+    )
+    assert decision.is_sure_of_released(stroke)
+    assert decision.answer("early", stroke).told
+    assert decision.answer("revised", rub).told
+
+
 def test_a_scene_shares_probability_among_its_gestures() -> None:
     decision = Decision(DecisionSettings(gestures=("stroke", "pat")), LABELS)
     answer = decision.answer("early", probabilities(rub=0.5, stroke=0.3, pat=0.1, notouch=0.1))
@@ -155,7 +181,7 @@ def test_a_scene_the_model_rules_out_is_answered_evenly() -> None:
     assert not answer.told
 
 
-@pytest.mark.parametrize("stages", [(54, 54, 144), (54, 144, 81)])
+@pytest.mark.parametrize("stages", [(54, 54, 144), (54, 144, 81), (54, 144, 144)])
 def test_stages_out_of_order_are_refused(stages: tuple[int, int, int]) -> None:
     with pytest.raises(ValueError, match="must rise"):
         DecisionSettings(answer_at_frames=stages)
@@ -208,6 +234,7 @@ def test_an_early_answer_of_exactly_speak_above_is_sure() -> None:
         ({"stroke": 0.9, "rub": 0.01}, {"stroke": 0.9, "rub": 0.01}, False),
         ({"stroke": 0.97, "rub": 0.005}, {"rub": 0.85, "stroke": 0.1}, True),
         ({"stroke": 0.98, "rub": 0.0001}, {"rub": 0.45, "stroke": 0.4}, False),
+        ({"stroke": 0.8, "rub": 0.04}, {"rub": 0.8, "stroke": 0.04}, False),
     ],
 )
 def test_a_gesture_changes_only_on_clear_evidence(
