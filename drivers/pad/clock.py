@@ -12,8 +12,8 @@ it may be damaged in a way the checksum does not see, or be the first after a re
 A later frame decides:
 
 - if the next frame is on time for the clock followed so far, the held ones were damaged and are refused;
-- if a later frame is 1 to 250 ms after a held one, those two (and held ones that lead up to them in such
-  steps) show the sensor's new clock; they are delivered in order, and the other held ones are refused.
+- if a later frame is 1 to 250 ms after a held one, those two show the sensor's new clock; they are delivered
+  in order, and the other held ones are refused.
 
 So a real reset delays the first frame by one frame time and loses none, even with damaged frames in between.
 A restart within 250 ms of the last one cannot be detected.
@@ -139,7 +139,7 @@ class FrameClock:
         rates = sorted(window.rate for window in self._windows)
         stands = any(window.standing > window.frames // 4 for window in self._windows)
         if stands or rates[-1] > ALIKE * rates[0]:
-            if rates[0] == rates[-1] == 0 or all(2 * w.delivered < w.frames for w in self._windows):
+            if all(2 * w.delivered < w.frames for w in self._windows):
                 return None, f"the pad's clock stands still or jumps{NOT_USED}"
             return self._unit_ms, None
         rate = rates[len(rates) // 2]
@@ -218,17 +218,12 @@ class ClockCheck:
         if is_last or any(now_ms == held.sensor_ms for held in self._held):
             self._counts.duplicates += 1
             return []
-        run, others = [reading], []
-        for held in reversed(self._held):
-            if _steps_on(held.sensor_ms, run[0].sensor_ms):
-                run.insert(0, held)
-            else:
-                others.append(held)
-        if len(run) > 1:
-            self._held = others
+        before = next((held for held in reversed(self._held) if _steps_on(held.sensor_ms, now_ms)), None)
+        if before is not None:
+            self._held = [held for held in self._held if held is not before]
             self._refuse_held()
-            self._follow(run[0])
-            return self._deliver(run)
+            self._follow(before)
+            return self._deliver([before, reading])
         self._held.append(reading)
         if len(self._held) > MAX_HELD:
             del self._held[0]

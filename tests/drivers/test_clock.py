@@ -1,5 +1,6 @@
 """Clock checks: no frame is lost after a restart, and frames with a damaged clock are refused."""
 
+import math
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 
@@ -10,6 +11,8 @@ from rigs.wire import assert_are, counts_of, flip, packet, packets
 
 from touchd.drivers.pad.clock import MAX_HELD, ArrivalClock, FrameClock
 from touchd.drivers.pad.framing import ProtocolCounts
+
+STILL = np.zeros((8, 8), np.uint16)
 
 
 @pytest.mark.parametrize("restart_ms", [0, 3, 1_000_000])
@@ -37,9 +40,11 @@ def test_a_reboot_amid_garbage_loses_no_intact_frame() -> None:
 
 
 @pytest.mark.parametrize("first_ms", [5000, 2**32 - 30], ids=["", "over the wrap after 49 days"])
-@pytest.mark.parametrize(("lost", "is_late"), [(12, False), (13, True)])
-def test_a_frame_is_on_time_for_a_quarter_second(lost: int, is_late: bool, first_ms: int) -> None:
-    frames = FabricGrid().feed(packets([0, 1, 2 + lost], first_ms), 0.0)
+@pytest.mark.parametrize(("step_ms", "is_late"), [(1, False), (250, False), (251, True)])
+def test_a_frame_is_on_time_for_a_quarter_second(step_ms: int, is_late: bool, first_ms: int) -> None:
+    times_ms = [first_ms, first_ms + 19, first_ms + 19 + step_ms]
+    data = b"".join(encode_fabric_grid(STILL, ms % 2**32) for ms in times_ms)
+    frames = FabricGrid().feed(data, 0.0)
     assert len(frames) == (2 if is_late else 3)
 
 
@@ -72,6 +77,14 @@ def test_a_reset_forgets_half_a_frame_and_the_clock() -> None:
     assert parser.counts.bytes_dropped == 50
 
 
+def test_after_many_wrong_clocks_a_reboot_loses_no_frame() -> None:
+    parser = FabricGrid()
+    wild = b"".join(packet(0, 10_000_000 * number) for number in range(1, 2 * MAX_HELD))
+    frames = parser.feed(packets(range(3)) + wild + packets(range(3), 0), 0.0)
+    assert_are(frames[:3], range(3))
+    assert_are(frames[3:], range(3), 0)
+
+
 @pytest.mark.parametrize("is_reset", [True, False])
 def test_a_frame_that_continues_a_refused_clock_is_refused(is_reset: bool) -> None:
     parser = FabricGrid()
@@ -90,10 +103,19 @@ def test_arrival_stamps_rise_even_in_a_burst() -> None:
     assert all(earlier < later for earlier, later in pairwise(stamps))
 
 
-def test_a_pad_off_its_stated_rate_is_followed_within_seconds() -> None:
-    clock, arrivals_s = ArrivalClock(54.0), [100.0 + number / 51.3 for number in range(270)]
+@pytest.mark.parametrize("rate_hz", [15.0, 51.3, 200.0])
+def test_a_pad_off_its_stated_rate_is_followed(rate_hz: float) -> None:
+    clock = ArrivalClock(54.0)
+    arrivals_s = [100.0 + number / rate_hz for number in range(round(20 * rate_hz))]
     off_ms = [clock.stamp_ms(arrival_s) - 1000.0 * arrival_s for arrival_s in arrivals_s]
-    assert max(map(abs, off_ms[108:])) <= 1.0
+    assert max(map(abs, off_ms[-108:])) <= 1.0
+
+
+@pytest.mark.parametrize("rate_hz", [50.0, 54.0])
+def test_frames_that_come_unevenly_are_dated_evenly_from_the_start(rate_hz: float) -> None:
+    clock, late_s = ArrivalClock(54.0), np.random.default_rng(0).uniform(0, 0.016, 540)
+    stamps = [clock.stamp_ms(100.0 + number / rate_hz + late_s[number]) for number in range(540)]
+    assert abs(np.diff(stamps) - 1000 / rate_hz).max() <= 5
 
 
 def test_after_a_flood_the_arrival_clock_is_not_ahead() -> None:
@@ -109,9 +131,6 @@ def test_a_gap_restarts_the_arrival_clock() -> None:
     before = [clock.stamp_ms(number / 54) for number in range(54)]
     assert before[-1] == round(1000 * 53 / 54)
     assert clock.stamp_ms(1.3) == 1300
-
-
-STILL = np.zeros((8, 8), np.uint16)
 
 
 def dated(
@@ -144,9 +163,9 @@ def is_in_ms(frames: list[tuple[float, int]]) -> bool:
 def test_a_clock_is_used_in_the_unit_that_it_counts(counts_a_second: float) -> None:
     clock, frames = dated(lambda second: 7.0 + second * counts_a_second)
     assert clock.note == ""
-    steps_ms = np.diff([ms for _, ms in frames[-100:]])
+    steps_ms = np.diff([ms for _, ms in frames[-200:]])
     unit_ms = 1000 / 10 ** round(np.log10(counts_a_second))
-    assert steps_ms.mean() == pytest.approx(counts_a_second * unit_ms / 54, rel=0.01)
+    assert steps_ms.mean() == pytest.approx(counts_a_second * unit_ms / 54, rel=5e-4)
 
 
 def test_a_clock_of_epoch_milliseconds_is_kept_to_32_bits() -> None:
@@ -226,6 +245,34 @@ def test_frames_that_were_held_up_do_not_discredit_a_clock() -> None:
     assert len(frames) == 54 * 60
 
 
+@pytest.mark.parametrize(
+    "arrival",
+    [
+        lambda second: second / 2 if second < 1.2 else second - 0.6,
+        lambda second: second + abs(second % 2 - 1) * 0.4,
+    ],
+    ids=["frames that waited come first", "the line slows down and catches up"],
+)
+def test_an_uneven_arrival_does_not_discredit_a_clock(arrival: Callable[[float], float]) -> None:
+    clock, frames = dated(lambda second: round(1000 * second), arrival=arrival)
+    assert clock.note == ""
+    assert np.diff([ms for _, ms in frames]).max() <= 19
+
+
+@pytest.mark.parametrize("stamp", [math.nan, math.inf])
+def test_a_frame_whose_clock_is_no_number_is_dated_by_arrival(stamp: float) -> None:
+    clock = FrameClock(ProtocolCounts(), 54.0)
+    assert [reading.sensor_ms for reading in clock.judge(stamp, 2.5, STILL)] == [2500]
+
+
+def test_any_frame_is_on_time_for_a_number_that_is_not_a_clock() -> None:
+    clock, _ = dated(float)
+    assert clock.is_on_time(6.01)
+    assert not clock.is_on_time(100.0)
+    skipped, _ = dated(lambda second: 500 * second)
+    assert skipped.is_on_time(100.0)
+
+
 def test_a_daemon_stopped_for_long_does_not_discredit_a_clock() -> None:
     clock = FrameClock(ProtocolCounts(), 54.0)
     # Five seconds of frames wait in the port's buffer; fifteen are lost.
@@ -252,12 +299,13 @@ def test_a_clock_that_restarts_is_dated_on_by_arrival(unit: float, period_s: flo
     assert clock.counts.restarts == pytest.approx(60 / max(period_s, 2.1) - 1, abs=2)
 
 
-def test_a_pause_while_the_board_starts_is_dated_as_long_as_it_was() -> None:
+@pytest.mark.parametrize("pause_s", [0.8, 5.0])
+def test_a_pause_while_the_board_starts_is_dated_as_long_as_it_was(pause_s: float) -> None:
     _, frames = dated(
-        lambda second: round(1000 * (second % 3)), 9.0, lambda second: second + second // 3 * 0.8
+        lambda second: round(1000 * (second % 3)), 9.0, lambda second: second + second // 3 * pause_s
     )
     steps_ms = np.diff([ms for _, ms in frames])
-    assert sorted(steps_ms)[-2:] == [pytest.approx(819, abs=2)] * 2
+    assert sorted(steps_ms)[-2:] == [pytest.approx(1000 * pause_s + 19, abs=2)] * 2
 
 
 @pytest.mark.parametrize("turn_s", [0.1, 0.3, 1.0, 4.0])
