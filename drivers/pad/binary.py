@@ -56,7 +56,6 @@ class BinaryFrames(FrameParser):
         self._header = described.first_bytes
         self._size = frame_bytes(described)
         self._cells_at = len(self._header) + 4 * described.clock + described.skip
-        self._cells_end = self._size - described.tail - (described.checksum != "none")
         self._position = 0
         # Bytes still to be dropped that belong to a damaged frame already counted.
         self._claimed = 0
@@ -105,7 +104,7 @@ class BinaryFrames(FrameParser):
 
     def values_in(self, window: bytes) -> Values:
         """Return the values (cells,) of a whole window."""
-        return decode_cells(self.format, window[self._cells_at : self._cells_end])
+        return decode_cells(self.format, window[self._cells_at :])
 
     def _sound(self, window: bytes) -> Values | Damage:
         """Return the values (cells,) of a well-formed window, or what is wrong with it."""
@@ -262,7 +261,7 @@ def checksum(described: PadFormat, body: bytes, total: int) -> int:
 
 
 def decode_cells(described: PadFormat, data: bytes) -> Values:
-    """Return the values (cells,) of a binary frame's cells."""
+    """Return the values (cells,) of a binary frame's cells, which `data` begins with."""
     if described.cell != "u12":
         sent = np.frombuffer(data, PLAIN_CELLS[described.cell, described.order], described.cells)
         return sent if sent.dtype.isnative else sent.astype(sent.dtype.newbyteorder("="))

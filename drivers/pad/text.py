@@ -107,13 +107,11 @@ class TextFrames(FrameParser):
                 readings += self._give_up(len(line) + 1)
             else:
                 readings += self._line(line, host_s)
-        if self._skipping:
-            # A CR ends the line once something else follows: keep the last character, and CRs after it.
-            kept = len(self._buffer) - len(self._buffer.rstrip(b"\r")) + 1
-            kept = min(kept, self._longest, len(self._buffer))
-            self.counts.bytes_dropped += len(self._buffer) - kept
-            self._buffer = self._buffer[len(self._buffer) - kept :]
-        elif len(self._buffer) > self._longest:
+        surplus = len(self._buffer) - self._longest
+        if surplus > 0 and self._skipping:
+            self.counts.bytes_dropped += surplus
+            self._buffer = self._buffer[surplus:]
+        elif surplus > 0:
             readings += self._give_up(len(self._buffer))
             self._buffer = b""
             self._skipping = True

@@ -72,6 +72,15 @@ def test_other_output_of_the_pad_is_not_counted_as_damage(words: bytes) -> None:
     assert parser.counts.bad == 0
 
 
+@pytest.mark.parametrize("words", [b"", b"hello\n", b"\n\n\n", b"\xff\xfe\x00\n", b"# a comment\n\n"])
+def test_bytes_outside_frames_are_counted(words: bytes) -> None:
+    parser = CsvLines()
+    parser.feed(lines([0, 1]) + words + line(3), 0.0)
+    assert parser.counts.bytes_dropped == len(b"half a line\n") + (
+        len(words.rstrip(b"\n")) + 1 if words.strip() else 0
+    )
+
+
 def test_a_number_of_thousands_of_digits_is_clipped() -> None:
     parser = parser_of(PadFormat(framing="text", rows=32, columns=32))
     (frame,) = parser.feed(b"\n" + b"0," * 1023 + b"1" * 5000 + b"\n", 0.0)
@@ -129,6 +138,29 @@ def test_numbers_are_read_whatever_stands_around_them(printed: str, skip: int) -
     for frame in frames:
         np.testing.assert_array_equal(frame.pressure, expected)
     assert parser.counts.bad == 0
+    in_pieces = parser_of(described)
+    assert len(fed(in_pieces, printed.encode() * 4, range(0, 4 * len(printed), 7))) == len(frames)
+    assert in_pieces.counts == parser.counts
+
+
+def test_numbers_before_and_after_a_rows_cells_are_skipped() -> None:
+    described = PadFormat(framing="text", rows=5, columns=6, skip=1, tail=2)
+    printed = "".join(f"{row}: 77, {str(cells)[1:-1]}, 99, 98\n" for row, cells in enumerate(ROWS)) + "\n"
+    frames = parser_of(described).feed(printed.encode() * 3, 0.0)
+    assert len(frames) == 2
+    for frame in frames:
+        np.testing.assert_array_equal(
+            frame.pressure, layout_of(described).pressure(np.array(CELLS, np.uint16))
+        )
+
+
+def test_a_wide_line_with_words_is_read_and_an_endless_one_is_not() -> None:
+    described = PadFormat(framing="text", rows=4, columns=4, tail=3)
+    wide = ("words " * 42 + "".join(f"{number:>24}" for number in range(19))).encode() + b"\n"
+    parser = parser_of(described)
+    assert len(parser.feed(b"\n" + wide * 2, 0.0)) == 2
+    assert parser.feed(b" " * 100 + wide, 0.0) == []
+    assert parser.counts.bad_framing == 1
 
 
 def test_a_damaged_line_loses_only_its_own_frame() -> None:
@@ -146,6 +178,15 @@ def test_a_damaged_line_loses_only_its_own_frame() -> None:
     # A loss across the boundary of two frames costs both; their halves do not form a frame.
     parser = parser_of(described)
     assert len(parser.feed((frame * 2 + frame[:40] + frame[20:] + frame * 2).encode(), 0.0)) <= 3
+
+
+@pytest.mark.parametrize("place", range(5))
+def test_a_damaged_line_of_a_frame_with_an_end_loses_only_its_own(place: int) -> None:
+    parser = parser_of(PadFormat(framing="text", rows=5, columns=6, end="end"))
+    printed = [",".join(map(str, cells)) + "\n" for cells in ROWS]
+    damaged = [*printed[:place], "7,7\n", *printed[place + 1 :]]
+    sent = [*printed, "end\n"] * 2 + [*damaged, "end\n"] + [*printed, "end\n"] * 2
+    assert len(parser.feed("".join(sent).encode(), 0.0)) == 3
 
 
 def test_a_frame_with_an_end_may_contain_blank_lines() -> None:

@@ -5,6 +5,7 @@ import random
 from collections.abc import Sequence
 from functools import cache
 from itertools import pairwise
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -15,7 +16,7 @@ from rigs.wire import counts_of
 
 from touchd.drivers.fakes.encode import encode_frame, encode_values, values_of
 from touchd.drivers.frame import Frame
-from touchd.drivers.pad.binary import frame_bytes
+from touchd.drivers.pad.binary import Datagrams, frame_bytes
 from touchd.drivers.pad.format import PRESETS, FormatError, Layout, PadFormat, layout_of
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.protocol import parser_of
@@ -148,11 +149,13 @@ def test_chunk_boundaries_never_change_the_result(
 
 @every_stream
 def test_an_endless_line_is_not_buffered(described: PadFormat) -> None:
-    for flood in (b"\xff" * 5000, b"1," * 2500, b"\n" * 5000, described.first_bytes * 1500 or b" " * 5000):
+    floods = (b"\xff" * 5000, b"1," * 2500, b"1\n" * 2500, described.first_bytes * 1500 or b" " * 5000)
+    for flood in floods:
         parser = parser_of(described)
         for _ in range(4 * longest(described) // len(flood) + 1):
             parser.feed(flood, 1.0)
             assert len(parser._buffer) <= 2 * longest(described)
+            assert len(getattr(parser, "_run", ())) <= 2 * described.cells
 
 
 @every_format
@@ -193,6 +196,43 @@ def test_a_frame_with_a_cell_that_is_no_number_is_refused(value: float) -> None:
     data = sent(described, 0) + encode_values(described, cells, None) + sent(described, 1)
     assert_are(described, parser.feed(data, 1.0), [0, 1])
     assert parser.counts.bad_value == parser.counts.bad == 1
+
+
+@pytest.mark.parametrize(("order", "cells"), [("big", [0xABC, 0xDEF]), ("little", [0xDAB, 0xEFC])])
+def test_two_cells_of_12_bits_lie_in_three_bytes(order: Literal["big", "little"], cells: list[int]) -> None:
+    described = PadFormat(header="aaabac", cell="u12", order=order, rows=4, columns=4, full_scale=4095)
+    (frame,) = parser_of(described).feed(b"\xaa\xab\xac" + b"\xab\xcd\xef" * 8, 0.0)
+    sent = np.tile(np.array(cells, np.uint16), 8)
+    np.testing.assert_array_equal(frame.pressure, layout_of(described).pressure(sent))
+
+
+@pytest.mark.parametrize("kind", ["values", "sum8", "xor8"])
+def test_a_frame_with_any_other_checksum_is_refused(kind: Literal["values", "sum8", "xor8"]) -> None:
+    described = PadFormat(header="aa55aa", rows=8, columns=8, checksum=kind)
+    whole = sent(described, 0)
+    for off in (1, 2, 254, 255):
+        parser = parser_of(described)
+        damaged = whole[:-1] + bytes([(whole[-1] + off) % 256])
+        assert_are(described, parser.feed(damaged + whole, 1.0), [0])
+        assert parser.counts.bad_checksum == parser.counts.bad == 1
+
+
+def test_a_datagram_is_a_frame_or_is_refused() -> None:
+    described = PadFormat(cell="u8", rows=8, columns=8, full_scale=255, poll="41")
+    parser = Datagrams(described)
+    whole = encode_frame(described, counts_of(0), None)
+    frames = [len(parser.feed(data, 1.0)) for data in (whole, b"", whole[:-1], whole + b"x", whole)]
+    assert frames == [1, 0, 0, 0, 1]
+    assert (parser.counts.bad_framing, parser.counts.bytes_dropped) == (2, 2 * len(whole))
+
+
+def test_bytes_that_nobody_asked_for_are_no_reply() -> None:
+    described = PRESETS["itas"]
+    parser = parser_of(described)
+    assert parser.feed(b"x", 0.0) == []
+    assert (parser.counts.bad, parser.counts.bytes_dropped) == (1, 1)
+    parser.ask(0.1)
+    assert_are(described, parser.feed(encode_frame(described, counts_of(0), None), 0.1), [0])
 
 
 @pytest.mark.parametrize("name", ["itas", "fsr-array"])
@@ -245,6 +285,7 @@ def test_a_polled_pads_damaged_reply_is_refused_and_counted() -> None:
     reply = encode_frame(described, counts_of(0), None)
     assert parser.feed(bytes([reply[0] ^ 1]) + reply[1:], 0.0) == []
     assert parser.counts.bad_checksum == parser.counts.bad == 1
+    assert parser.ask_in_s(0.1) == 0.0
 
 
 def test_a_pad_without_a_clock_gets_an_even_one() -> None:
