@@ -119,6 +119,55 @@ def test_a_clock_that_jumps_restarts_the_grid(clock_ms: Sequence[int]) -> None:
     assert [frame.index for frame in laid if frame.restarted] == [0, 50]
 
 
+@pytest.mark.parametrize("first_ms", [5000, CLOCK_MODULUS - 1500], ids=["", "over the wrap"])
+@pytest.mark.parametrize(
+    ("then_ms", "restarts_ms"),
+    [
+        ([2200], []),
+        ([2201], [2201]),
+        ([1001, 2019], []),
+        ([1000, 1019], [1000]),
+        ([1500, 1519, 1538], [1500]),
+        ([1500, 1700, 1719], [1500]),
+        ([1500, 1500, 2019], []),
+        ([1500, 1701, 2019], []),
+        ([1500, 1499, 2019], []),
+        ([1500, 2019, 1519, 2038], []),
+    ],
+    ids=[
+        "longest gap that is bridged",
+        "longer gap",
+        "late",
+        "restarted",
+        "ran back",
+        "ran back, with a gap",
+        "late twice",
+        "two late ones far apart",
+        "two late ones in reverse",
+        "late ones in turns",
+    ],
+)
+def test_only_gaps_and_clocks_that_ran_back_restart_the_grid(
+    then_ms: list[int], restarts_ms: list[int], first_ms: int
+) -> None:
+    ring = new_ring()
+    clock_ms = [first_ms + ms for ms in [*range(1981, 2000, 19), 2000, *then_ms]]
+    first, *laid = push(ring, stream_of(len(clock_ms)).counts, clock_ms)
+    assert first.restarted
+    assert [round(one.sensor_ms) for one in laid if one.restarted] == [
+        (first_ms + ms) % CLOCK_MODULUS for ms in restarts_ms
+    ]
+    if restarts_ms and len(then_ms) > 1:
+        assert abs(laid[-1].sensor_ms - (first_ms + then_ms[-1]) % CLOCK_MODULUS) < PERIOD_MS
+
+
+def test_a_pad_that_comes_to_54_hz_passes_unchanged_within_a_second() -> None:
+    ring, counts = new_ring(), stream_of(228).counts
+    sent_ms = np.rint([*np.arange(120) * 1000 / 60, *(2000 + np.arange(108) * 1000 / 54)])
+    laid = push(ring, counts, sent_ms.astype(int))
+    np.testing.assert_array_equal(ring.window(laid[-1].index + 1, 54), counts[-54:])
+
+
 def test_duplicates_and_late_frames_leave_no_trace() -> None:
     counts, clock = stream_of(100).counts, list(ideal_clock_ms(100))
     order = list(range(100))
