@@ -1,0 +1,199 @@
+"""What a robot gets over the link, and what is logged of it; on a robot in this process."""
+
+import logging
+import threading
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+
+import pytest
+from rigs.call_log import CallLog
+from rigs.robots import States, message
+from rigs.wait import wait_for
+
+from touchd.drivers.fakes.stub_robot import StubRobot
+from touchd.drivers.frame import DEFAULT_PAD
+from touchd.drivers.robot.acting import say
+from touchd.drivers.robot.link import RobotLink, read_login
+from touchd.drivers.robot.session import RobotError, RobotLost, RobotSession, RobotSettings
+
+GESTURE, STATUS = "TouchGesture/Gesture", "TouchGesture/Status"
+URL = StubRobot.url
+
+
+@contextmanager
+def robot_and_link(
+    pads: Iterable[str] = (DEFAULT_PAD,), acts: bool = False
+) -> Iterator[tuple[StubRobot, RobotLink, CallLog, States]]:
+    """A robot that is switched on, a link to it that is up, the robot's calls and the link's states."""
+    calls, states = CallLog(), States()
+    with StubRobot(calls.add) as robot:
+        link = RobotLink(RobotSettings(url=URL), states, robot.open_session, pads=pads, acts=acts)
+        link.start()
+        try:
+            states.wait_for("up")
+            yield robot, link, calls, states
+        finally:
+            link.stop()
+
+
+def raised(calls: CallLog) -> list[tuple[object, ...]]:
+    return [call.arguments for call in calls.all() if call.method == "raiseEvent"]
+
+
+def test_each_pad_has_events_of_its_own() -> None:
+    with robot_and_link(pads=("head", "arm")) as (_, link, calls, _):
+        link.publish(message("pat", 7, pad="arm", time_s=1_790_000_000.25, confidence=0.75))
+        calls.wait_for_raise("TouchGesture/arm/Gesture", "pat")
+        link.set_status("degraded", "head")
+        calls.wait_for_raise("TouchGesture/head/Status", "degraded")
+    assert raised(calls) == [
+        ("TouchGesture/head/Status", "up"),
+        ("TouchGesture/arm/Status", "up"),
+        ("TouchGesture/arm/Detail", ["pat", 0.75, [1_790_000_000, 250_000], "early", 7, 7]),
+        ("TouchGesture/arm/Gesture", "pat"),
+        ("TouchGesture/head/Status", "degraded"),
+        ("TouchGesture/head/Status", "down"),
+        ("TouchGesture/arm/Status", "down"),
+    ]
+    removed = [call.arguments for call in calls.all() if call.method == "removeData"]
+    assert removed == [("TouchGesture/arm/Gesture",)]
+
+
+@pytest.mark.parametrize(
+    ("time_s", "sent"),
+    [(1_790_000_000.9999999, [1_790_000_001, 0]), (2.0**31 - 0.5, [2**31 - 1, 500_000]), (2.0**31, [0, 0])],
+)
+def test_a_time_is_sent_in_seconds_and_microseconds_that_fit(time_s: float, sent: list[int]) -> None:
+    with robot_and_link() as (_, link, calls, _):
+        link.publish(message(time_s=time_s, sequence=2**31 - 1))
+        calls.wait_for_raise(GESTURE, "stroke")
+    (detail,) = calls.raised("TouchGesture/Detail")
+    assert isinstance(detail, list)
+    assert (detail[2], detail[-1]) == (sent, 2**31 - 1)
+
+
+@pytest.mark.parametrize("is_removed_by_another", [False, True])
+def test_a_gesture_is_shown_for_a_second(is_removed_by_another: bool) -> None:
+    with robot_and_link(pads=("head",)) as (robot, link, calls, _):
+        link.publish(message("pat", pad="head"))
+        shown = calls.wait_for_raise("TouchGesture/head/Gesture", "pat")
+        if is_removed_by_another:
+            robot.services["ALMemory"].removeData("TouchGesture/head/Gesture")  # type: ignore[attr-defined]
+            calls.clear()
+        removed = calls.wait_for(lambda call: call.method == "removeData", timeout_s=10)
+        assert bool(removed.refused) == is_removed_by_another
+        assert 0.95 < removed.time_s - shown.time_s < 5
+        # Removing it is tried once, and later answers arrive.
+        link.publish(message("rub", pad="head"))
+        calls.wait_for_raise("TouchGesture/head/Gesture", "rub", timeout_s=10)
+    assert [call.method for call in calls.all()].count("removeData") == 2
+
+
+def test_the_status_is_sent_once_for_each_change() -> None:
+    with robot_and_link() as (_, link, calls, _):
+        for status in ("up", "down", "down", "up"):
+            link.set_status(status)
+            wait_for(lambda status=status: calls.raised(STATUS)[-1] == status)  # type: ignore[misc]
+            link.publish(message(status))
+            calls.wait_for_raise(GESTURE, status)
+    assert calls.raised(STATUS) == ["up", "down", "up", "down"]
+
+
+def test_a_robot_that_comes_and_goes_is_logged_and_reported(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    with robot_and_link() as (robot, _, _, states):
+        robot.kill()
+        states.wait_for("up", "down")
+        robot.start()
+        states.wait_for("up", "down", "up")
+    why = "the connection was closed by the robot"
+    assert states.told == [("up", ""), ("down", why), ("up", "")]
+    first, second, third = (record.getMessage() for record in caplog.records)
+    assert first == f"robot {URL} is up"
+    assert second == f"robot {URL} is down ({why}); trying until it is there"
+    assert third.startswith(f"robot {URL} is up again (after ")
+
+
+def test_causes_that_differ_in_their_numbers_are_logged_once(caplog: pytest.LogCaptureFixture) -> None:
+    tried: list[str] = []
+
+    def late(*_: object) -> RobotSession:
+        tried.append("")
+        raise RobotLost(f"no answer within {len(tried)}.5 s")
+
+    states = States()
+    link = RobotLink(RobotSettings(url=URL), states, late)
+    link.start()
+    wait_for(lambda: len(tried) >= 3)
+    link.stop()
+    assert [record.levelname for record in caplog.records] == ["WARNING"]
+    assert states.told == [("down", "no answer within 1.5 s")]
+
+
+def test_a_failing_listener_leaves_the_link_at_work(caplog: pytest.LogCaptureFixture) -> None:
+    def fails(*_: object) -> None:
+        raise ValueError("a bug")
+
+    calls = CallLog()
+    with StubRobot(calls.add) as robot:
+        link = RobotLink(RobotSettings(url=URL), fails, robot.open_session)
+        link.start()
+        link.publish(message())
+        calls.wait_for_raise(GESTURE, "stroke")
+        link.stop()
+    assert [one.getMessage() for one in caplog.records] == ["the state of the robot could not be reported"]
+
+
+def test_a_link_may_be_stopped_twice_and_before_it_starts() -> None:
+    unstarted = RobotLink(RobotSettings(url=URL), open_session=StubRobot().open_session)
+    unstarted.stop()
+    with robot_and_link() as (_, link, calls, _):
+        link.stop()
+        link.stop()
+        assert calls.raised(STATUS) == ["up", "down"]
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("touchd-robot")]
+
+
+def test_a_link_that_does_not_end_is_logged_and_left(caplog: pytest.LogCaptureFixture) -> None:
+    goes_on = threading.Event()
+
+    def hangs(*_: object) -> RobotSession:
+        goes_on.wait(10)
+        raise RobotLost("over")
+
+    link = RobotLink(RobotSettings(url=URL), open_session=hangs)
+    link.start()
+    link.stop(timeout_s=0.05)
+    goes_on.set()
+    assert "the link to the robot did not end within 0.05 s" in caplog.messages
+    link.stop()
+
+
+def test_acts_need_a_link_that_was_made_for_them() -> None:
+    with robot_and_link(acts=True) as (_, link, calls, _):
+        link.act([say("a"), say("b")])
+        wait_for(lambda: calls.said() == ["a", "b"])
+    with robot_and_link() as (_, link, _, _), pytest.raises(AssertionError, match="without acts"):
+        link.act([say("a")])
+
+
+@pytest.mark.parametrize("port", ["1", "65535"])
+def test_any_port_is_an_address(port: str) -> None:
+    assert read_login(RobotSettings(url=f"tcps://nao.local:{port}")) is None
+
+
+@pytest.mark.parametrize("url", ["tcp://nao:65536", "tcp://nao:123456", "udp://nao:9559", "tcp://a b:9559"])
+def test_other_addresses_are_refused_with_an_example(url: str) -> None:
+    with pytest.raises(RobotError, match=r"is not an address such as tcp://nao\.local:9559"):
+        read_login(RobotSettings(url=url))
+
+
+@pytest.mark.parametrize(("url", "port"), [("tcp://nao", 9559), ("tcps://nao:", 9503)])
+def test_the_usual_port_is_proposed(url: str, port: int) -> None:
+    with pytest.raises(RobotError, match=f"lacks its port, usually {port}: .*://nao:{port}$"):
+        read_login(RobotSettings(url=url))
+
+
+def test_a_token_without_a_user_is_refused() -> None:
+    with pytest.raises(RobotError, match="set user"):
+        read_login(RobotSettings(url="tcps://nao:9503", token_file="/dev/null"))
