@@ -104,9 +104,8 @@ class Choice:
 
 def _fits(rule: ActionRule, answer: Prediction, is_news: bool) -> bool:
     is_named = answer.gesture in rule.gestures if rule.gestures else answer.gesture != UNCERTAIN
-    # A measure that this touch does not have is neither high nor low.
-    feel = msgspec.structs.asdict(answer.feel) if answer.feel else {}
-    measured = {measure: value for measure, value in feel.items() if value is not None}
+    # A touch without measures is neither high nor low in any.
+    measured = msgspec.structs.asdict(answer.feel) if answer.feel else {}
     is_like = all(measured.get(measure, -math.inf) >= least for measure, least in rule.above.items())
     is_like &= all(measured.get(measure, math.inf) < most for measure, most in rule.below.items())
     return is_named and is_like and (answer.stage in rule.stages if rule.stages else is_news)

@@ -3,7 +3,7 @@
 import logging
 import signal
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -108,10 +108,10 @@ def test_a_broken_pad_and_its_repair_are_reported_once(
     assert is_begin_and_end(logged(counts, caplog), begin)
 
 
-@pytest.mark.parametrize("cells", [1, 6, 64])
-def test_values_that_jump_from_frame_to_frame_degrade_the_pad(cells: int) -> None:
+@pytest.mark.parametrize(("cells", "load"), [(1, 0), (6, 0), (64, 0), (6, 900)])
+def test_values_that_jump_from_frame_to_frame_degrade_the_pad(cells: int, load: int) -> None:
     rng = np.random.default_rng(3)
-    counts = sound_pad(40)
+    counts = sound_pad(40) + np.uint16(load)
     for frame in counts[5 * RATE_HZ : 20 * RATE_HZ]:
         if rng.random() < 2 / 3:
             frame.reshape(-1)[rng.choice(64, cells, replace=False)] = rng.integers(0, 1024, cells)
@@ -131,6 +131,12 @@ def test_a_quick_hand_does_not_garble_a_pad(rate_hz: float, taps_hz: float) -> N
     counts[:, 2:5, 2:5] += ((second * taps_hz % 1 < 0.4) * 300).astype(np.uint16)[:, None, None]
     clock_ms = np.rint(1000 * second).astype(int).tolist()
     assert not [what for _, what, _ in faults_in(counts, clock_ms) if "jump" in what]
+
+
+def test_noise_on_every_taxel_is_not_a_garbled_line() -> None:
+    counts = sound_pad(20)
+    counts += np.random.default_rng(2).integers(0, 35, counts.shape).astype(np.uint16)
+    assert faults_in(counts) == []
 
 
 def test_a_heavy_still_hand_is_not_a_fault() -> None:
@@ -273,6 +279,12 @@ def firm_presses(first: int) -> list[bytes]:
     return pressed(100, range(first, first + 420)) + pressed(900, range(first + 420, first + 540))
 
 
+def later(count: int) -> Iterator[tuple[Counts, int]]:
+    """Return frames that follow those of `faulty`."""
+    stream = stream_of(540 + count)
+    return zip(stream.counts[540:], stream.sensor_ms[540:].tolist(), strict=True)
+
+
 def faulty(**every: int) -> list[bytes]:
     faults, stream = Faults(**every), stream_of(540)
     sent = zip(stream.counts, stream.sensor_ms.tolist(), strict=True)
@@ -306,6 +318,38 @@ def test_continuing_losses_on_the_line_are_logged_once(caplog: pytest.LogCapture
     presses = [packet for turn in range(20) for packet in firm_presses(540 * turn)]
     watch(parser_of(CONFIGURED), presses, intervals=20)
     assert caplog.messages == [ABOVE]
+
+
+@pytest.mark.parametrize(
+    ("parser", "packets"),
+    [
+        (parser_of(CONFIGURED), firm_presses(0) + pressed(100, range(540, 1620))),
+        (
+            FabricGrid(),
+            faulty(flip_bit_every=20)[:540] + [encode_fabric_grid(*frame) for frame in later(1080)],
+        ),
+    ],
+    ids=["firm presses", "damage"],
+)
+def test_a_line_that_is_sound_again_is_logged(
+    parser: FrameParser, packets: list[bytes], caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+    watch(parser, packets, intervals=3)
+    begin, end = caplog.messages
+    assert end.startswith(f"no longer: {begin} (after 10.0 s)")
+
+
+@pytest.mark.parametrize(("every_s", "is_often"), [(29.0, True), (31.0, False)])
+def test_a_pad_that_often_restarts_is_degraded_until_it_is_steady(every_s: float, is_often: bool) -> None:
+    parser, states, still = FabricGrid(), list[SensorState | None](), np.zeros((8, 8), np.uint16)
+    monitor = PadMonitor(parser=parser, where="COM3")
+    for tenth in range(1400):
+        if tenth in (10, 10 + 10 * every_s, 10 + 20 * every_s):
+            parser.counts.restarted(tenth / 10)
+        states.append(monitor.on_frame(Frame(0, 100 * tenth, tenth / 10, still), restarted=False))
+    told = [(state.state, state.cause) for state in states if state is not None]
+    assert told == ([("degraded", "restarts"), ("up", "")] if is_often else [])
 
 
 def test_frames_refused_during_an_outage_are_not_a_fault(caplog: pytest.LogCaptureFixture) -> None:
@@ -350,6 +394,32 @@ def test_losing_frames_in_runs_degrades_the_pad() -> None:
     assert state.state == "up"
 
 
+def test_a_single_gap_is_not_a_fault() -> None:
+    monitor = PadMonitor()
+    for at_ms in (0, 6000, 12_000):
+        assert states_of(monitor, range(at_ms, at_ms + 5500, 18)) == []
+
+
+def test_two_boards_on_one_line_degrade_the_pad() -> None:
+    times_ms = [ms + 700_000 * (number % 2) for number, ms in enumerate(range(0, 5000, 18))]
+    monitor, states = PadMonitor(), list[SensorState | None]()
+    for number, ms in enumerate(times_ms):
+        frame = Frame(0, ms, number * 0.018, np.zeros((8, 8), np.uint16))
+        states.append(monitor.on_frame(frame, restarted=True))
+    (state,) = filter(None, states)
+    assert state.cause == "gaps"
+    assert "the pad's clock goes back and forth" in state.reason
+
+
+def test_gaps_in_frames_that_were_read_together_degrade_the_pad() -> None:
+    monitor, states = PadMonitor(), list[SensorState | None]()
+    for number in range(90):
+        frame = Frame(0, 300 * number, 1.5 * (number // 30), np.zeros((8, 8), np.uint16))
+        states.append(monitor.on_frame(frame, restarted=True))
+    (state,) = filter(None, states)
+    assert "with gaps of up to 300 ms" in state.reason
+
+
 def test_a_pad_that_is_too_slow_is_degraded() -> None:
     (state,) = states_of(PadMonitor(), range(0, 10_000, 250))
     assert "4.0 frames a second come, and 8 or more are needed" in state.reason
@@ -391,6 +461,15 @@ def test_a_daemon_that_was_stopped_blames_neither_pad_nor_clock(tmp_path: Path) 
         assert daemon.stop() == 0
     assert [event.state for event in daemon.events if isinstance(event, SensorEvent)] == ["up"]
     assert [line for line in daemon.log.splitlines() if "drivers.pad" in line and "WARNING" in line] == []
+
+
+def test_a_noisy_pad_is_degraded_after_five_seconds() -> None:
+    monitor = PadMonitor()
+    for check in range(90):
+        monitor.on_rest(is_noisy=True, loose_lines=())
+        if states_of(monitor, [check]):
+            break
+    assert check / 9 == pytest.approx(5, abs=0.2)
 
 
 def test_a_noisy_pad_is_degraded_until_it_is_calm() -> None:

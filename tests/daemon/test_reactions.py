@@ -114,16 +114,23 @@ def test_simultaneous_touches_are_kept_apart() -> None:
     assert [done(chosen, "stroke", touch) for touch in (1, 2, 1, 2)] == [["any"], ["any"], [], []]
 
 
-def test_only_the_latest_unended_touches_are_remembered() -> None:
+def test_only_the_latest_touches_are_remembered() -> None:
     chosen = Choice(rules("[{do: [{say: any}]}]"))
     assert all(done(chosen, "stroke", touch) == ["any"] for touch in range(2 * MOST_TOUCHES))
-    assert done(chosen, "stroke", 2 * MOST_TOUCHES - 1) == []
+    for touch in range(MOST_TOUCHES, 2 * MOST_TOUCHES):
+        assert done(chosen, "stroke", touch) == []
+    assert done(chosen, "stroke", MOST_TOUCHES - 1) == ["any"]
 
 
 def test_a_rule_with_gestures_applies_to_these_only() -> None:
     chosen = Choice(rules("[{do: [{say: soft}], gestures: [stroke, tickle]}]"))
     gestures = ["stroke", "pat", "tickle"]
     assert [done(chosen, g, touch) for touch, g in enumerate(gestures)] == [["soft"], [], ["soft"]]
+
+
+def test_a_gesture_of_ones_own_triggers_a_rule_for_all() -> None:
+    chosen = Choice(rules("[{do: [{say: any}]}]"))
+    assert [done(chosen, own, touch) for touch, own in enumerate(("bump", "wave"))] == [["any"], ["any"]]
 
 
 def test_uncertain_triggers_only_a_rule_that_names_it() -> None:
