@@ -197,7 +197,7 @@ def test_frames_may_wait_unless_an_answer_is_due() -> None:
     # An answer is due at 54, 81 and 144 frames, then every 18; frames may wait until 8 before each.
     assert since_touch[45:53] == since_touch[72:80] == since_touch[135:143] == [False] * 8
     assert all(since_touch[10:45] + since_touch[53:72] + since_touch[80:135])
-    assert since_touch[144:190].count(True) >= 15
+    assert since_touch[144:189] == ([True] * 9 + [False] * 9) * 2 + [True] * 9
     bench.feel(nothing(0.7))
     assert not bench.pipeline.has_time
     bench.feel(nothing(0.5))
@@ -218,6 +218,36 @@ def test_pads_touched_at_once_are_answered_as_each_alone() -> None:
         assert [
             msgspec.structs.replace(event, pad=DEFAULT_PAD) for event in emitted if event.pad == name
         ] == spoken
+
+
+def test_viewers_see_every_third_frame_until_the_final_answer() -> None:
+    shown, emitted, pad = list[LivePrediction](), list[Event](), MadePad()
+    scene = DecisionSettings(gestures=("pat", "stroke"))
+    pipeline = Pipeline(
+        PipelineSettings(decision=scene), Scripted(), emitted.append, STOPPED, viewers=lambda: [shown.append]
+    )
+    for number, counts in enumerate(pad.counts(np.concatenate([nothing(2.0), palm(4.0)]))):
+        pipeline.on_frame(Frame(number, round(number * 1000 / 54), 99.998, counts))
+    assert [live.frames for live in shown] == list(range(3, 145, 3))
+    weighed = dict.fromkeys(LABELS, 0.0) | {"stroke": 0.9792, "pat": 0.0104, NO_TOUCH: 0.0104}
+    assert shown[0] == LivePrediction(touch=1, frames=3, probabilities=weighed)
+    assert answered(emitted) == [EARLY, REVISED, FINAL]
+
+
+class WithoutNoTouch(Scripted):
+    """A model that was not trained on untouched pads."""
+
+    labels = tuple(label for label in LABELS if label != NO_TOUCH)
+
+    def answer(self) -> NDArray[np.float64]:
+        return np.array([0.95 if label == "stroke" else 0.01 for label in self.labels])
+
+
+def test_a_model_without_notouch_names_touches_and_is_not_asked_at_rest() -> None:
+    bench = Bench(WithoutNoTouch())
+    assert bench.feel(nothing(3.0)) == []
+    assert bench.model.asked == bench.model.stepped == []
+    assert told(bench.feel(palm(3.5), nothing(2.0))) == [("early", "stroke")]
 
 
 def test_viewers_get_the_models_own_probabilities(classifier: Classifier) -> None:
@@ -382,6 +412,14 @@ def test_a_frame_missing_before_the_onset_degrades_the_touch() -> None:
     assert early.degraded
 
 
+def test_the_measures_of_a_light_touch_are_of_all_its_frames() -> None:
+    bench = Bench()
+    assert bench.feel(palm(0.4, counts=6.0)) == []
+    (end,) = ended(bench.feel(palm(0.6, counts=6.0), nothing(2.0)))
+    assert end.feel is not None
+    assert (end.frames, end.feel.duration_s) == (54, 1.0)
+
+
 def test_an_answer_due_in_a_bridged_gap_is_not_lost() -> None:
     bench = Bench(touch=TouchSettings(quiet_s=0.1))
     events = bench.feel(palm(4.0), skip=range(140, 147))
@@ -479,6 +517,8 @@ def test_a_revision_that_comes_too_late_is_not_told() -> None:
     bench.now_s += 5.0
     late = bench.feel(palm(0.6))
     assert (answered(late), told(late)) == ([REVISED], [])
+    # Its newest frame is the sixteenth of those that came together.
+    assert predictions(late)[0].age_ms == pytest.approx(5000 - 16 * 1000 / 54, abs=2)
 
 
 def test_the_end_of_the_stream_ends_the_touch_once() -> None:
