@@ -5,8 +5,10 @@ import random
 import sys
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -29,6 +31,8 @@ from touchd.daemon.kept.touch_store import (
     cut,
     description_of,
     file_name,
+    folder_of,
+    kept_touch,
     kept_touches,
     open_stores,
     read_frames,
@@ -36,7 +40,7 @@ from touchd.daemon.kept.touch_store import (
 from touchd.daemon.parts import keep_touches
 from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.drivers.frame import NO_TOUCH, Frame
-from touchd.drivers.recording import UNLABELLED, read_provenance, read_recordings
+from touchd.drivers.recording import UNLABELLED, RecordingError, read_provenance, read_recordings
 from touchd.drivers.whole_file import PARTIAL
 
 PERIOD_MS = 1000 / 54
@@ -444,6 +448,161 @@ def test_foreign_files_are_neither_offered_nor_deleted(tmp_path: Path) -> None:
         "anna_foam_fur_rub_1.csv.gz",
         file_name(ended_touch(2).began.time, 2, 2),
     }
+
+
+def made(first_ms: int, last_ms: int, times_ms: Sequence[int], noticed: int, **other: Any) -> EndedTouch:
+    """Return a touch from its first to its last frame, of frames at these times."""
+    touch, counts = ended_touch(1), np.zeros((8, 8), np.uint16)
+    frames = tuple(Frame(i, ms % 2**32, 0.0, counts) for i, ms in enumerate(times_ms))
+    began = msgspec.structs.replace(touch.began, sensor_ms=first_ms % 2**32)
+    return replace(touch, began=began, frames=frames, noticed=noticed, end_ms=last_ms % 2**32, **other)
+
+
+def times_of(frames: Sequence[Frame], since_ms: int = 0) -> list[int]:
+    return [(frame.sensor_ms - since_ms) % 2**32 for frame in frames]
+
+
+@pytest.mark.parametrize("since_ms", [0, 2**32 - 1300], ids=["", "over the wrap"])
+@pytest.mark.parametrize(
+    ("first_ms", "last_ms", "before", "touch", "after"),
+    [
+        (1200, 1500, range(200, 1200, 100), range(1200, 1501, 100), range(1600, 3000, 100)),
+        (1150, 1499, range(200, 1200, 100), range(1200, 1500, 100), range(1500, 3000, 100)),
+        (300, 2900, range(0, 300, 100), range(300, 2901, 100), []),
+        (1200, 1200, range(200, 1200, 100), [1200], range(1300, 3000, 100)),
+        (0, 3500, [], range(0, 3000, 100), []),
+    ],
+    ids=["a touch", "between frames", "to the end", "one frame", "longer than the frames"],
+)
+def test_frames_are_cut_where_the_touch_begins_and_ends(
+    since_ms: int, first_ms: int, last_ms: int, before: range, touch: range, after: range
+) -> None:
+    times_ms = [since_ms + ms for ms in range(0, 3000, 100)]
+    noticed = len(before) + 3 if first_ms != 300 else 30
+    pieces = cut(made(since_ms + first_ms, since_ms + last_ms, times_ms, noticed + (first_ms > 1000) * 2))
+    assert times_of(pieces.before, since_ms) == list(before)
+    assert times_of(pieces.touch, since_ms) == list(touch)
+    assert times_of(pieces.after, since_ms) == list(after)
+    assert pieces.is_whole == (last_ms < 3000)
+
+
+@pytest.mark.parametrize(("gap_ms", "is_kept"), [(1000, True), (1001, False)])
+def test_frames_beyond_a_gap_are_not_kept(gap_ms: int, is_kept: bool) -> None:
+    first_ms, last_ms = 200 + gap_ms, 200 + 2 * gap_ms
+    times_ms = [100, 200, first_ms, first_ms + 100, last_ms + 100, last_ms + 200]
+    pieces = cut(made(first_ms - 1, last_ms + 100, times_ms, 3))
+    assert times_of(pieces.before) == ([200] if is_kept else [])
+    assert times_of(pieces.touch) == [first_ms, first_ms + 100, *([last_ms + 100] if is_kept else [])]
+
+
+@pytest.mark.parametrize(("quiet_from_ms", "first_kept_ms"), [(None, 1000), (300, 1000), (1500, 1600)])
+def test_rest_holds_nothing_of_an_earlier_touch(quiet_from_ms: int | None, first_kept_ms: int) -> None:
+    touch = made(2000, 2200, range(0, 3000, 100), 22, quiet_from_ms=quiet_from_ms)
+    assert times_of(cut(touch).before)[0] == first_kept_ms
+
+
+def test_only_a_released_touch_is_followed_by_quiet() -> None:
+    touch = made(200, 300, range(0, 1000, 100), 4)
+    settled = replace(touch, ended=msgspec.structs.replace(touch.ended, reason="settled"))
+    assert len(cut(touch).after) == 6
+    assert cut(settled).after == ()
+
+
+def test_a_folder_that_fails_loses_touches_and_says_so_once(
+    store: TouchStore, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+    folder = tmp_path / "touches"
+    store.add(ended_touch(1))
+    for path in folder.iterdir():
+        path.unlink()
+    folder.rmdir()
+    folder.touch()
+    store.add(ended_touch(2))
+    store.add(ended_touch(3))
+    assert store.lost == 2
+    folder.unlink()
+    store.add(ended_touch(4))
+    store.label(said(3, "pat"))
+    store.label(said(4, "rub"))
+    failed, again, unlabelled = caplog.messages
+    assert failed.startswith("the frames of touches cannot be saved: ")
+    assert again.startswith("the frames of touches are saved again; those of 2 were lost")
+    assert unlabelled == "the label of touch 3 is in the journal alone: its frames are not kept"
+    assert [(kept.number, kept.label) for kept in kept_touches(folder)] == [(4, "rub")]
+
+
+def test_labels_wait_for_their_touches_but_only_the_latest(store: TouchStore, tmp_path: Path) -> None:
+    for number in range(1, 11):
+        store.label(said(number, f"own-{number}"))
+    for number in range(1, 12):
+        store.add(ended_touch(number))
+    labels = [kept.label for kept in kept_touches(tmp_path / "touches")]
+    assert sorted(labels) == sorted(["", "", "", *(f"own-{number}" for number in range(3, 11))])
+
+
+def test_a_touch_labelled_again_as_before_stays_as_it_is(store: TouchStore, tmp_path: Path) -> None:
+    store.add(ended_touch(1, rest_frames=0))
+    for _ in range(2):
+        store.label(said(1, NO_TOUCH))
+        (kept,) = kept_touches(tmp_path / "touches")
+        frames = read_frames(kept)
+        assert (frames.before, len(frames.touch.counts), frames.after) == (None, 20, None)
+    assert read_provenance(kept.path)["labelled"] == timestamp(0.0)
+    with pytest.raises(RecordingError, match="holds no touch as touchd keeps them"):
+        read_frames(replace(kept, label="pat"))
+
+
+@pytest.mark.parametrize(
+    ("name", "touch"),
+    [
+        ("2026-11-20T10-00-01.250Z-7-31.csv.gz", (31, "2026-11-20T10:00:01.250Z", 7, "")),
+        (
+            "2026-11-20T10-00-01.250Z-7-31.my-own_pat.csv.gz",
+            (31, "2026-11-20T10:00:01.250Z", 7, "my-own_pat"),
+        ),
+        ("2026-11-20T10-00-01.250Z-7.csv.gz", (0, "2026-11-20T10:00:01.250Z", 7, "")),
+    ],
+)
+def test_a_files_name_says_which_touch_it_holds(name: str, touch: tuple[int, str, int, str]) -> None:
+    kept = kept_touch(Path("folder") / name)
+    assert kept is not None
+    assert (kept.count, kept.time, kept.number, kept.label) == touch
+    assert kept.unlabelled_name == name.replace(".my-own_pat", "")
+
+
+def test_a_folder_that_is_missing_holds_no_touches(tmp_path: Path) -> None:
+    assert kept_touches(tmp_path / "nothing") == []
+    (tmp_path / "file").touch()
+    with pytest.raises(RecordingError, match="file: cannot be read"):
+        kept_touches(tmp_path / "file")
+    (tmp_path / file_name(timestamp(0.0), 1, 1)).mkdir()
+    (tmp_path / file_name(timestamp(0.0), 2, 2)).symlink_to("file")
+    assert kept_touches(tmp_path) == []
+
+
+def test_each_pad_has_a_folder_of_its_own() -> None:
+    assert folder_of(Path("/var/events.jsonl")) == Path("/var/events.jsonl.touches")
+    assert folder_of(Path("/var/events.jsonl"), "head") == Path("/var/events.jsonl.head.touches")
+
+
+def test_other_pads_and_forgotten_frames_are_not_kept(store: TouchStore, tmp_path: Path) -> None:
+    sink, touch = TouchSink({"pad": store}), ended_touch(1)
+    sink.start()
+    for pad in ("pad", "other"):
+        for frame in touch.frames:
+            sink.put_frame(frame, pad)
+    sink.put(msgspec.structs.replace(touch.began, pad="other"))
+    sink.put(msgspec.structs.replace(touch.ended, pad="other"))
+    sink.put(msgspec.structs.replace(said(1, "pat"), pad="other"))
+    sink.put(touch.began)
+    sink.put(SensorEvent(state="down", time="", pad="other"))
+    sink.put(touch.ended)
+    sink.put(msgspec.structs.replace(touch.began, touch=2))
+    sink.put(SensorEvent(state="down", time=""))
+    sink.put(msgspec.structs.replace(touch.ended, touch=2))
+    sink.stop(WITHIN_S)
+    assert [(kept.number, kept.label) for kept in kept_touches(tmp_path / "touches")] == [(1, "")]
 
 
 def test_a_pad_off_54_hz_is_kept_as_sent(tmp_path: Path) -> None:
