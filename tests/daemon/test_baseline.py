@@ -30,10 +30,8 @@ def test_nothing_known_is_a_quiet_pad_at_zero() -> None:
 
 
 def test_rest_is_what_a_taxel_reads_mostly() -> None:
-    frames = np.full((27, 64), 10.0, np.float32)
-    frames[:13] = 900.0
-    frames[13:20] += np.arange(64, dtype=np.float32)
-    frames[20:] += np.arange(64, dtype=np.float32)
+    frames = np.repeat(np.float32([900.0, 10.0, 0.0]), [12, 3, 12])[:, None] + np.zeros(64, np.float32)
+    frames[12:15] += np.arange(64, dtype=np.float32)
     baseline = Baseline()
     baseline.shift(frames)
     np.testing.assert_array_equal(baseline.counts, 10.0 + np.arange(64))
@@ -81,6 +79,11 @@ def test_a_rest_that_has_shifted_is_not_noise(shift: float) -> None:
     assert np.sign(baseline.counts.mean() - 10.0) == np.sign(shift)
 
 
+def test_a_rest_that_rises_while_it_is_measured_is_not_noise() -> None:
+    rising = white(0.3, 27) + np.linspace(0, 20, 27, dtype=np.float32)[:, None]
+    assert not tracked(rising).is_disturbed
+
+
 def test_a_small_shift_of_the_rest_is_followed_in_seconds() -> None:
     baseline = tracked(white(0.0, 54))
     tracked(white(0.0, 54 * 3 + 27, rest=10.5), baseline)
@@ -126,9 +129,9 @@ def test_a_cleared_second_holds_nothing() -> None:
 
 
 def test_the_halves_differ_by_a_step_and_spread_only_within() -> None:
-    wave = [(-1.0) ** number for number in range(54)]
-    recent = second_of(5.0, *(10.0 + each for each in wave[:27]), *(20.0 + each for each in wave[27:]))
+    recent, size = LastSecond(), np.arange(64, dtype=np.float32)
+    for number in range(55):
+        recent.push((number - 1) // 27 * 10 + (-1) ** number * size)
     older, newer = recent.halves()
-    np.testing.assert_allclose(older, 10 + 1 / 27, rtol=1e-5)
-    np.testing.assert_allclose(newer, 20 - 1 / 27, rtol=1e-5)
-    np.testing.assert_allclose(recent.spread(), 1.0, atol=0.01)
+    np.testing.assert_allclose(newer - older, 10 + 2 * size / 27, rtol=1e-4)
+    np.testing.assert_allclose(recent.spread(), size, rtol=0.01)

@@ -189,3 +189,15 @@ def test_a_pad_is_asked_about_again_if_it_reads_differently(rise: float, taxels:
     read[:, :taxels] += np.float32(rise)
     check.begins_touch(read)
     assert (network.left == [0.02, 0.9]) != is_asked
+
+
+@pytest.mark.parametrize(("changed", "is_asked"), [(slice(0, 18), False), (slice(18, 36), True)])
+def test_only_the_newest_third_of_a_second_counts_as_new(changed: slice, is_asked: bool) -> None:
+    network = Answers(0.9, 0.02, 0.9)
+    check = NetworkCheck(network)
+    frames = np.full((GLANCE_FRAMES, 64), 10.0, np.float32)
+    check.begins_touch(frames)
+    later = frames.copy()
+    later[changed] += 5.0
+    check.begins_touch(later)
+    assert (network.left == [0.02, 0.9]) != is_asked

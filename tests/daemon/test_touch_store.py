@@ -24,6 +24,7 @@ from touchd.daemon.config import ConfigError, JournalSettings, SensorSettings, S
 from touchd.daemon.events import Event, Label, PadState, SensorEvent, TouchBegan, TouchEnded, timestamp
 from touchd.daemon.kept.touch_store import (
     LONGEST_FRAMES,
+    PIECES,
     EndedTouch,
     KeptTouch,
     TouchSink,
@@ -40,7 +41,15 @@ from touchd.daemon.kept.touch_store import (
 from touchd.daemon.parts import keep_touches
 from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.drivers.frame import NO_TOUCH, Frame
-from touchd.drivers.recording import UNLABELLED, RecordingError, read_provenance, read_recordings
+from touchd.drivers.recording import (
+    SUFFIX,
+    UNLABELLED,
+    Recording,
+    RecordingError,
+    read_provenance,
+    read_recordings,
+    write_recordings,
+)
 from touchd.drivers.whole_file import PARTIAL
 
 PERIOD_MS = 1000 / 54
@@ -230,7 +239,7 @@ def said(number: int, gesture: str) -> Label:
     return Label(touch=number, gesture=gesture, time=timestamp(0.0))
 
 
-@pytest.mark.parametrize("gesture", ["stroke", NO_TOUCH])
+@pytest.mark.parametrize("gesture", ["constant", "stroke", NO_TOUCH])
 def test_a_label_stands_in_the_touchs_file(store: TouchStore, tmp_path: Path, gesture: str) -> None:
     store.add(ended_touch(1))
     (before,) = kept_touches(tmp_path / "touches")
@@ -551,6 +560,34 @@ def test_a_touch_labelled_again_as_before_stays_as_it_is(store: TouchStore, tmp_
     assert read_provenance(kept.path)["labelled"] == timestamp(0.0)
     with pytest.raises(RecordingError, match="holds no touch as touchd keeps them"):
         read_frames(replace(kept, label="pat"))
+
+
+@pytest.mark.parametrize(
+    ("pieces", "lengths"),
+    [
+        ("10 20 10", (10, 20, 10)),
+        ("0 20 20", (0, 20, 20)),
+        ("20 20 0", (20, 20, 0)),
+        ("", (0, 40, 0)),
+        ("20 20", (0, 40, 0)),
+        ("10 10 10 10", (0, 40, 0)),
+        ("10 20 11", (0, 40, 0)),
+        ("20 0 20", (0, 40, 0)),
+        ("x 20 20", (0, 40, 0)),
+    ],
+)
+def test_a_false_touch_is_found_in_its_file_if_the_file_says_where(
+    tmp_path: Path, pieces: str, lengths: tuple[int, int, int]
+) -> None:
+    path = tmp_path / f"2026-11-20T10-00-01.250Z-7-31.{NO_TOUCH}{SUFFIX}"
+    whole = Recording(*[UNLABELLED] * 3, NO_TOUCH, np.zeros((40, 8, 8), np.uint16), np.arange(40), "live")
+    write_recordings(path, [whole], {PIECES: pieces})
+    (kept,) = kept_touches(tmp_path)
+    frames = read_frames(kept)
+    parts = (frames.before, frames.touch, frames.after)
+    assert tuple(0 if part is None else len(part.counts) for part in parts) == lengths
+    times_ms = [ms for part in parts if part is not None for ms in part.sensor_ms.tolist()]
+    assert times_ms == list(range(40))
 
 
 @pytest.mark.parametrize(
