@@ -209,18 +209,18 @@ def make_labeller(settings: Settings, models: Mapping[str, Classifier], emit: Em
 def bridges_to_others(
     settings: Settings, models: Mapping[str, Classifier], config: Path | None = None
 ) -> tuple[Bridge, ...]:
-    """Return the configured bridges; raises BridgeError."""
-    if not any(settings.bridges.values()):
+    """Return the configured bridges, and what clears the traces of former ones; raises BridgeError."""
+    state = JournalSettings().file.parent
+    has_traces = config is not None and any(state.glob("mqtt-*.json"))
+    if not any(settings.bridges.values()) and not has_traces:
         return ()
     from touchd.daemon.bridges.bridges import make_bridges
-    from touchd.daemon.bridges.retained import file_for
 
     gestures = {
         name: pad.scene.gestures or tuple(label for label in models[name].labels if label != NO_TOUCH)
         for name, pad in settings.pads.items()
     }
-    memory = file_for(config, JournalSettings().file.parent)
-    return tuple(make_bridges(settings.bridges, gestures, memory))
+    return tuple(make_bridges(settings.bridges, gestures, state, config))
 
 
 def load_model(settings: Settings) -> Classifier:

@@ -211,6 +211,8 @@ class ConnectedBridge(Bridge):
             # A peer's bytes can make libraries raise undocumented errors.
             except Exception as error:
                 reason = f"{type(error).__name__}: {error}"
+            if self._ending.is_set():
+                return
             self._note_away(self._where, reason, kind)
             self._ending.wait(self._backoff.pause_s())
 

@@ -1,45 +1,69 @@
 """Makes the bridges that are configured: for each section one a pad, or one process for all pads."""
 
 import importlib.util
-from collections.abc import Mapping, Sequence
+import logging
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from touchd.daemon.bridges.bridge import Bridge, BridgeError, bridge_class
 from touchd.daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings, Section
 from touchd.drivers.installed import EXTRAS, how_to_install
 
+log = logging.getLogger(__name__)
+
 
 def make_bridges(
-    sections: Mapping[str, Section | None], gestures: Mapping[str, Sequence[str]], memory: Path
+    sections: Mapping[str, Section | None],
+    gestures: Mapping[str, Sequence[str]],
+    state: Path,
+    config: Path | None = None,
 ) -> list[Bridge]:
-    """Return the configured bridges, not yet started.
+    """Return the configured bridges, not yet started, and those that clear what former ones left on a broker.
 
-    gestures: that each pad can tell. memory: the file of `Retained`. Raises BridgeError when a
-    bridge cannot be used as configured.
+    gestures: that each pad can tell. state: the state folder. config: the file of the sections; without one
+    nothing is remembered. Raises BridgeError when a bridge cannot be used as configured.
     """
     bridges: list[Bridge] = []
     for name, section in sections.items():
         if isinstance(section, LslSettings | Ros2Settings):
             bridges.append(_make(name, section, tuple(gestures), ()))
         elif isinstance(section, MqttSettings):
-            bridges += _mqtt_bridges(section, gestures, memory)
+            bridges += _mqtt_bridges(section, gestures)
         elif section is not None:
             bridges += [_make(name, section, (pad,), tuple(own)) for pad, own in gestures.items()]
+    if config is not None:
+        mqtt = sections.get("mqtt")
+        bridges += _clearings(mqtt if isinstance(mqtt, MqttSettings) else None, gestures, state, config)
     return bridges
 
 
-def _mqtt_bridges(section: MqttSettings, gestures: Mapping[str, Sequence[str]], memory: Path) -> list[Bridge]:
+def _mqtt_bridges(section: MqttSettings, gestures: Mapping[str, Sequence[str]]) -> list[Bridge]:
     _check_libraries("mqtt")
-    from touchd.daemon.bridges.mqtt import MqttBridge, retained_topics
-    from touchd.daemon.bridges.retained import Retained
+    from touchd.daemon.bridges.mqtt import MqttBridge
 
-    topics = [topic for pad in gestures for topic in retained_topics(section, pad)]
-    retained = Retained(memory, f"{section.host}:{section.port}", topics)
-    # The first one clears for all.
-    return [
-        MqttBridge(section, pad, tuple(own), None if number else retained)
-        for number, (pad, own) in enumerate(gestures.items())
-    ]
+    return [MqttBridge(section, pad, tuple(own)) for pad, own in gestures.items()]
+
+
+def _clearings(section: MqttSettings | None, pads: Iterable[str], state: Path, config: Path) -> list[Bridge]:
+    """Remember what the section retains; return what clears the topics that former ones left, by broker."""
+    from touchd.daemon.bridges.retained import OnBroker, Retained
+
+    present = None
+    if section is not None:
+        topics = tuple(topic for pad in pads for topic in section.retained_topics(pad))
+        present = OnBroker(section, topics)
+    retained = Retained(state, config, present)
+    clearings: list[Bridge] = []
+    for former in retained.former:
+        try:
+            _check_libraries("mqtt")
+            from touchd.daemon.bridges.clearing import Clearing
+
+            clearings.append(Clearing(former, retained))
+        except BridgeError as error:
+            # A file that a former configuration named may be gone with it.
+            log.warning("%s stay at %s: %s", ", ".join(former.topics), former.broker.host, error)
+    return clearings
 
 
 def _make(name: str, section: Section, pads: tuple[str, ...], gestures: tuple[str, ...]) -> Bridge:

@@ -4,6 +4,7 @@ import math
 import secrets
 import ssl
 import time
+from abc import abstractmethod
 from collections import deque
 from collections.abc import Sequence
 from typing import Any
@@ -23,8 +24,7 @@ from touchd.daemon.bridges.bridge import (
     ConnectedBridge,
     arrival_s,
 )
-from touchd.daemon.bridges.retained import Retained
-from touchd.daemon.bridges.settings import MqttSettings
+from touchd.daemon.bridges.settings import MqttSettings, entity_of
 from touchd.daemon.events import UNCERTAIN, Event, SensorEvent, encode, kind_of, timestamp
 from touchd.drivers.errors import written_out
 from touchd.drivers.frame import Frame
@@ -53,47 +53,44 @@ TO_HOME_ASSISTANT = (
 )
 
 
-class MqttBridge(ConnectedBridge):
-    """Publishes each event with QoS 1, one at a time and in order, and the state as a retained message.
-
-    The state is the pad's (see `SensorEvent`), "stopped" (touchd has ended) or, as the last will, "lost". The
-    bridge listens to it: if another daemon's end, a late last will or a person's deletion replaces the state,
-    it is published again. The bridge uses MQTT 5, in which a broker says what it refuses and how large a
-    message may be, and 3.1.1 with brokers that lack MQTT 5.
-    retained: what an earlier configuration left on the broker, for this bridge to clear.
+class BrokerConnection(ConnectedBridge):
+    """A connection to a broker: in MQTT 5, in which a broker says what it refuses and how large a message
+    may be, and in 3.1.1 with brokers that lack MQTT 5.
     """
 
     def __init__(
-        self,
-        settings: MqttSettings,
-        pad: str,
-        labels: Sequence[str] = (),
-        retained: Retained | None = None,
+        self, settings: MqttSettings, pads: Sequence[str], frames_hz: float | None, where: str
     ) -> None:
         self._settings = settings
-        self._retained = retained
-        self._former = tuple(retained.former) if retained else ()
-        self._labels = labels
-        self._topic = f"{settings.topic}/{pad}"
-        self._state_topic, *announced = retained_topics(settings, pad)
-        # None if nothing is announced.
-        self._announcement_topic = next(iter(announced), None)
-        self._state = "down"
-        # Own states that the broker has not passed back, maybe over the next connection.
-        self._echoes: deque[str] = deque(maxlen=MOST_ECHOES)
         self._version = MQTTProtocolVersion.MQTTv5
         # The client id lets a new connection replace the lost one, whose last will the broker still holds.
         self._client_id = f"touchd-{secrets.token_hex(8)}"
-        self._client: _Client | None = None
+        self._client: Client | None = None
         self._tls = _tls(settings.ca_file) if settings.tls else None
         self._password()
-        # With the topic, as each pad has a connection of its own.
-        where = f"{settings.host}:{settings.port} ({self._topic})"
-        super().__init__("mqtt", [pad], settings.pressure_hz, where)
+        super().__init__("mqtt", pads, frames_hz, where)
+
+    @abstractmethod
+    def greet(self, client: "Client") -> None:
+        """Subscribe and publish over a new connection."""
+
+    @abstractmethod
+    def receive(self, client: "Client", message: mqtt.MQTTMessage) -> None:
+        """Take a message."""
+
+    @abstractmethod
+    def tend(self, client: "Client") -> None:
+        """Do what is due; called about once a second."""
+
+    def prepare(self, client: "Client") -> None:
+        """Set a client up before it connects."""
+
+    def published(self, number: int, is_refused: bool) -> None:
+        """Note that the broker has taken or refused a message."""
 
     def hold(self) -> str:
-        client = _Client(self._client_id, self._version)
-        client.will_set(self._state_topic, LOST, qos=1, retain=True)
+        client = Client(self._client_id, self._version)
+        self.prepare(client)
         if self._settings.user is not None:
             client.username_pw_set(self._settings.user, self._password())
         if self._tls is not None:
@@ -108,12 +105,93 @@ class MqttBridge(ConnectedBridge):
         client.connect(self._settings.host, self._settings.port, KEEPALIVE_S, properties=properties)
         self._client = client
         while client.loop(1.0) == MQTTErrorCode.MQTT_ERR_SUCCESS:
-            if time.monotonic() >= client.again_s:
-                self._publish_retained(client)
+            self.tend(client)
         if not client.was_greeted:
             is_5 = self._version == MQTTProtocolVersion.MQTTv5
             self._version = MQTTProtocolVersion.MQTTv311 if is_5 else MQTTProtocolVersion.MQTTv5
         return client.why
+
+    def hang_up(self) -> None:
+        if self._client is not None:
+            self._client.disconnect()
+
+    def _password(self) -> str | None:
+        """Return the password, read again for each connection; raises BridgeError."""
+        file = self._settings.password_file
+        return _read_password(file) if file else None
+
+    def _on_connect(
+        self, client: mqtt.Client, _data: Any, _flags: Any, code: ReasonCode, properties: Properties | None
+    ) -> None:
+        assert isinstance(client, Client)
+        # A broker that knows only 3.1.1 answers a client of MQTT 5 with this code.
+        client.was_greeted = code.getName() != "Unsupported protocol version"
+        if code.is_failure:
+            client.why = _words(code, properties)
+            return
+        client.longest_packet = getattr(properties, "MaximumPacketSize", None)
+        self.greet(client)
+        self.connected()
+
+    def _on_message(self, client: mqtt.Client, _data: Any, message: mqtt.MQTTMessage) -> None:
+        assert isinstance(client, Client)
+        self.receive(client, message)
+
+    def _on_publish(
+        self, client: mqtt.Client, _data: Any, mid: int, code: ReasonCode, properties: Properties | None
+    ) -> None:
+        assert isinstance(client, Client)
+        if code.is_failure:
+            self._note_refused(_words(code, properties))
+        self.published(mid, code.is_failure)
+
+
+class MqttBridge(BrokerConnection):
+    """Publishes each event with QoS 1, one at a time and in order, and the state as a retained message.
+
+    The state is the pad's (see `SensorEvent`), "stopped" (touchd has ended) or, as the last will, "lost". The
+    bridge listens to it: if another daemon's end, a late last will or a person's deletion replaces the state,
+    it is published again.
+    """
+
+    def __init__(self, settings: MqttSettings, pad: str, labels: Sequence[str] = ()) -> None:
+        self._labels = labels
+        self._topic = f"{settings.topic}/{pad}"
+        self._state_topic, *announced = settings.retained_topics(pad)
+        # None if nothing is announced.
+        self._announcement_topic = next(iter(announced), None)
+        self._state = "down"
+        # Own states that the broker has not passed back, maybe over the next connection.
+        self._echoes: deque[str] = deque(maxlen=MOST_ECHOES)
+        # With the topic, as each pad has a connection of its own.
+        where = f"{settings.host}:{settings.port} ({self._topic})"
+        super().__init__(settings, [pad], settings.pressure_hz, where)
+
+    def prepare(self, client: "Client") -> None:
+        client.will_set(self._state_topic, LOST, qos=1, retain=True)
+
+    def greet(self, client: "Client") -> None:
+        topics = [self._state_topic]
+        if self._announcement_topic is not None:
+            topics += [self._announcement_topic, f"{self._settings.discovery}/status"]
+        # Each by itself: a broker may take small packets alone.
+        for topic in topics:
+            client.subscribe(topic)
+        self._publish_retained(client)
+
+    def receive(self, client: "Client", message: mqtt.MQTTMessage) -> None:
+        """Publish again what others have replaced, and notice another writer."""
+        if message.topic == self._state_topic:
+            self._see_state(client, message)
+        elif message.topic == self._announcement_topic:
+            if not message.payload:
+                self._publish_announcement(client)
+        elif message.payload == HOME_ASSISTANT_IS_THERE:
+            self._publish_retained(client)
+
+    def tend(self, client: "Client") -> None:
+        if time.monotonic() >= client.again_s:
+            self._publish_retained(client)
 
     def send_event(self, event: Event) -> bool:
         if isinstance(event, SensorEvent):
@@ -151,52 +229,7 @@ class MqttBridge(ConnectedBridge):
             self._await(client, self._publish_state(client))
         super().close()
 
-    def hang_up(self) -> None:
-        if self._client is not None:
-            self._client.disconnect()
-
-    def _password(self) -> str | None:
-        """Return the password, read again for each connection; raises BridgeError."""
-        file = self._settings.password_file
-        return _read_password(file) if file else None
-
-    def _on_connect(
-        self, client: mqtt.Client, _data: Any, _flags: Any, code: ReasonCode, properties: Properties | None
-    ) -> None:
-        assert isinstance(client, _Client)
-        # A broker that knows only 3.1.1 answers a client of MQTT 5 with this code.
-        client.was_greeted = code.getName() != "Unsupported protocol version"
-        if code.is_failure:
-            client.why = _words(code, properties)
-            return
-        client.longest_packet = getattr(properties, "MaximumPacketSize", None)
-        topics = [self._state_topic, *self._former]
-        if self._announcement_topic is not None:
-            topics += [self._announcement_topic, f"{self._settings.discovery}/status"]
-        # Each by itself: a broker may take small packets alone.
-        for topic in topics:
-            client.subscribe(topic)
-        for topic in self._former:
-            client.clearing[client.publish(topic, b"", qos=1, retain=True).mid] = topic
-        self._publish_retained(client)
-        self.connected()
-
-    def _on_message(self, client: mqtt.Client, _data: Any, message: mqtt.MQTTMessage) -> None:
-        """Publish again what others have replaced, and notice another writer."""
-        assert isinstance(client, _Client)
-        if message.topic == self._state_topic:
-            self._see_state(client, message)
-        elif message.topic == self._announcement_topic:
-            if not message.payload:
-                self._publish_announcement(client)
-        elif message.topic not in self._former:
-            if message.payload == HOME_ASSISTANT_IS_THERE:
-                self._publish_retained(client)
-        # The broker publishes the last will of a killed daemon only after a while.
-        elif message.payload == LOST.encode():
-            client.publish(message.topic, b"", qos=1, retain=True)
-
-    def _see_state(self, client: "_Client", message: mqtt.MQTTMessage) -> None:
+    def _see_state(self, client: "Client", message: mqtt.MQTTMessage) -> None:
         state = message.payload.decode(errors="replace")
         if state in self._echoes:
             self._echoes.remove(state)
@@ -212,22 +245,12 @@ class MqttBridge(ConnectedBridge):
             # Once, so that the other one notices, too.
             self._publish_state(client)
 
-    def _on_publish(
-        self, client: mqtt.Client, _data: Any, mid: int, code: ReasonCode, properties: Properties | None
-    ) -> None:
-        assert isinstance(client, _Client)
-        former = client.clearing.pop(mid, None)
-        if code.is_failure:
-            self._note_refused(_words(code, properties))
-        elif former is not None and self._retained is not None:
-            self._retained.cleared(former)
-
-    def _publish_retained(self, client: "_Client") -> None:
+    def _publish_retained(self, client: "Client") -> None:
         client.again_s = time.monotonic() + AGAIN_S
         self._publish_announcement(client)
         self._publish_state(client)
 
-    def _publish_announcement(self, client: "_Client") -> None:
+    def _publish_announcement(self, client: "Client") -> None:
         topic = self._announcement_topic
         if topic is None or not client.takes_announcement:
             return
@@ -237,12 +260,12 @@ class MqttBridge(ConnectedBridge):
             client.allowance.sent(len(topic) + len(payload))
             client.publish(topic, payload, qos=1, retain=True)
 
-    def _publish_state(self, client: "_Client") -> mqtt.MQTTMessageInfo:
+    def _publish_state(self, client: "Client") -> mqtt.MQTTMessageInfo:
         client.allowance.sent(len(self._state_topic) + len(self._state))
         self._echoes.append(self._state)
         return client.publish(self._state_topic, self._state, qos=1, retain=True)
 
-    def _fits(self, client: "_Client", topic: str, payload: bytes, what: str, qos: int = 1) -> bool:
+    def _fits(self, client: "Client", topic: str, payload: bytes, what: str, qos: int = 1) -> bool:
         """Whether the broker takes a message of this size; one that is too large is counted as refused."""
         # The topic with its length, the packet's number and properties, then the fixed header.
         rest = 2 + len(topic.encode()) + (2 if qos else 0) + 1 + len(payload)
@@ -252,7 +275,7 @@ class MqttBridge(ConnectedBridge):
         self._note_refused(f"{what}: {size} bytes, and the broker takes {client.longest_packet} at most")
         return False
 
-    def _await(self, client: "_Client", info: mqtt.MQTTMessageInfo) -> bool:
+    def _await(self, client: "Client", info: mqtt.MQTTMessageInfo) -> bool:
         """Wait until the broker has acknowledged or refused a message; False if the connection ends first."""
         client.allowance.sent()
         while info.rc == MQTTErrorCode.MQTT_ERR_SUCCESS and not self._abandoned.is_set():
@@ -264,11 +287,11 @@ class MqttBridge(ConnectedBridge):
         return False
 
 
-class _Client(mqtt.Client):
+class Client(mqtt.Client):
     """A paho client for one connection.
 
     why: reason for its end. frames: not yet written by paho. again_s: when state and announcement are due.
-    clearing: former topics by message number. longest_packet: that the broker takes, None: any.
+    longest_packet: that the broker takes, None: any.
     """
 
     def __init__(self, name: str, version: MQTTProtocolVersion) -> None:
@@ -276,7 +299,6 @@ class _Client(mqtt.Client):
         self.connect_timeout = CONNECT_S
         self.allowance = Allowance(FIRST_BYTES, ACKNOWLEDGEMENT_BYTES, OTHERS_BYTES_PER_S)
         self.again_s = math.inf
-        self.clearing: dict[int, str] = {}
         self.longest_packet: int | None = None
         self.takes_announcement = True
         self.frames: deque[mqtt.MQTTMessageInfo] = deque()
@@ -314,21 +336,9 @@ def _words(code: ReasonCode, properties: Properties | None) -> str:
     return f"{code}: {said}" if said else str(code)
 
 
-def retained_topics(settings: MqttSettings, pad: str) -> list[str]:
-    """Return the topics of a pad's retained messages: its state and, if announced, its announcement."""
-    topic = f"{settings.topic}/{pad}"
-    if settings.discovery is None:
-        return [f"{topic}/state"]
-    return [f"{topic}/state", f"{settings.discovery}/event/{_entity(topic)}/config"]
-
-
-def _entity(topic: str) -> str:
-    return topic.replace("/", "_")
-
-
 def announcement(topic: str, labels: Sequence[str]) -> bytes:
     """Return what announces a pad to Home Assistant as an event entity."""
-    name = _entity(topic)
+    name = entity_of(topic)
     payload = {
         "name": None,
         "unique_id": name,

@@ -1,67 +1,131 @@
-"""Remembers which retained messages a configuration has on its broker, so that a later one can clear them.
+"""Remembers which retained messages a configuration has on its brokers, so that a later start can clear them.
 
 A broker keeps a retained message for ever: after a pad was renamed, its old state and its entity in Home
-Assistant would stay. The topics are in a file of the state folder, one for each configuration file, because
-another daemon of this computer must not clear them.
+Assistant would stay. A file in the state folder names the topics, and the broker with what it takes to reach
+it again. Each configuration file has its own, because other daemons of this computer must not clear them.
+Once a configuration file is gone, the next daemon takes over what is remembered of it.
 """
 
 import hashlib
 import logging
-from collections.abc import Iterable
+import threading
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
 
 import msgspec
 
+from touchd.daemon.bridges.settings import MqttSettings
 from touchd.drivers.whole_file import PRIVATE_MODE, whole_file, without_waiting
 
 log = logging.getLogger(__name__)
 
+FILES = "mqtt-*.json"
 # More than one daemon ever needs; the oldest beyond are forgotten.
 MOST_TOPICS, MOST_BROKERS = 256, 16
 
 
-class Retained:
-    """The retained topics of a daemon on its broker.
+class OnBroker(msgspec.Struct, frozen=True):
+    """Topics that have retained messages on a broker."""
 
-    file: where they are remembered. broker: its address. topics: those of the present configuration.
-    former: those that an earlier configuration left there.
+    broker: MqttSettings
+    topics: tuple[str, ...]
+
+    @property
+    def address(self) -> tuple[str, int]:
+        return self.broker.host, self.broker.port
+
+    def without(self, others: Iterable["OnBroker"]) -> "OnBroker":
+        """Return the same without the topics that others have on this broker."""
+        theirs = {topic for other in others if other.address == self.address for topic in other.topics}
+        return OnBroker(self.broker, tuple(topic for topic in self.topics if topic not in theirs))
+
+
+class Memory(msgspec.Struct, frozen=True):
+    """The content of a file. config: the path of the configuration file that it belongs to."""
+
+    config: str
+    brokers: tuple[OnBroker, ...] = ()
+
+
+class Retained:
+    """The retained topics of a daemon. Thread-safe.
+
+    folder: for state. present: those of the present configuration, None without a broker.
+    former: those that an earlier configuration left, by broker, to be cleared.
     """
 
-    def __init__(self, file: Path, broker: str, topics: Iterable[str]) -> None:
-        self._file = file
-        self._broker = broker
-        self._topics = list(topics)
-        self._all = _read(file)
-        self.former = [topic for topic in self._all.get(broker, ()) if topic not in self._topics]
-        # Before they are published: if the daemon is killed in between, nothing is forgotten.
+    def __init__(self, folder: Path, config: Path, present: OnBroker | None) -> None:
+        self._file = file_for(config, folder)
+        self._config = str(config.resolve())
+        self._present = present
+        self._lock = threading.Lock()
+        others = {file: memory for file, memory in _memories(folder) if file != self._file}
+        gone = {file: memory for file, memory in others.items() if not _exists(memory.config)}
+        living = [on for file, memory in others.items() if file not in gone for on in memory.brokers]
+        remembered = [*(on for memory in gone.values() for on in memory.brokers), *_read(self._file).brokers]
+        in_use = [*living, *([present] if present is not None else [])]
+        self.former = tuple(left for on in _merged(remembered) if (left := on.without(in_use)).topics)
+        # Before anything is published: if the daemon is killed in between, nothing is forgotten.
         self._write()
+        for file in gone:
+            with suppress(OSError):
+                file.unlink()
 
-    def cleared(self, topic: str) -> None:
-        """Note that the broker no longer has a former topic."""
-        self.former = [left for left in self.former if left != topic]
-        self._write()
+    def cleared(self, cleared: OnBroker) -> None:
+        """Note that a broker no longer has these topics."""
+        with self._lock:
+            self.former = tuple(left for on in self.former if (left := on.without([cleared])).topics)
+            self._write()
 
     def _write(self) -> None:
-        own = [*self.former, *self._topics][-MOST_TOPICS:]
-        others = [(broker, topics) for broker, topics in self._all.items() if broker != self._broker]
-        self._all = dict([*others, (self._broker, own)][-MOST_BROKERS:])
+        brokers = _merged([*self.former, *([self._present] if self._present is not None else [])])
         try:
+            if not brokers:
+                self._file.unlink(missing_ok=True)
+                return
             self._file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             with whole_file(self._file, mode=PRIVATE_MODE) as new:
-                new.write_bytes(msgspec.json.encode(self._all))
+                new.write_bytes(msgspec.json.encode(Memory(self._config, brokers)))
         except OSError as error:
             log.info("what a later configuration should clear at the broker is not remembered: %s", error)
 
 
-def file_for(config: Path | None, folder: Path) -> Path:
-    """Return the file in a state folder that belongs to a configuration file; None: to the defaults."""
-    name = str(config.resolve()) if config is not None else ""
-    return folder / f"mqtt-{hashlib.sha256(name.encode(errors='surrogateescape')).hexdigest()[:16]}.json"
+def file_for(config: Path, folder: Path) -> Path:
+    """Return the file in a state folder that belongs to a configuration file."""
+    name = str(config.resolve()).encode(errors="surrogateescape")
+    return folder / f"mqtt-{hashlib.sha256(name).hexdigest()[:16]}.json"
 
 
-def _read(file: Path) -> dict[str, list[str]]:
+def _merged(brokers: Iterable[OnBroker]) -> tuple[OnBroker, ...]:
+    """Return one entry for each broker, with the newest settings and the newest topics up to the limit."""
+    merged: dict[tuple[str, int], OnBroker] = {}
+    for on in brokers:
+        before = merged.pop(on.address, None)
+        topics = dict.fromkeys([*(before.topics if before is not None else ()), *on.topics])
+        merged[on.address] = OnBroker(on.broker, tuple(topics)[-MOST_TOPICS:])
+    return tuple(merged.values())[-MOST_BROKERS:]
+
+
+def _memories(folder: Path) -> Iterator[tuple[Path, Memory]]:
+    with suppress(OSError):
+        for file in sorted(folder.glob(FILES)):
+            yield file, _read(file)
+
+
+def _exists(config: str) -> bool:
+    """Whether a configuration file is there; one that cannot be looked for counts as there."""
+    try:
+        Path(config).stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    except (OSError, ValueError):
+        return True
+    return True
+
+
+def _read(file: Path) -> Memory:
     # A missing or damaged file is an empty one.
     with suppress(OSError, msgspec.DecodeError), open(file, "rb", opener=without_waiting) as opened:
-        return msgspec.json.decode(opened.read(), type=dict[str, list[str]])
-    return {}
+        return msgspec.json.decode(opened.read(), type=Memory)
+    return Memory(config="")

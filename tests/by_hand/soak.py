@@ -140,7 +140,7 @@ class Soak:
         robot_sink = RobotSink(self._link)
         self.broker = Broker(folder)
         mqtt = MqttSettings(host="127.0.0.1", port=self.broker.port, discovery=None)
-        self._bridges = make_bridges({"mqtt": mqtt}, {"pad": model.labels}, folder / "retained.json")
+        self._bridges = make_bridges({"mqtt": mqtt}, {"pad": model.labels}, folder)
         self._sinks = (
             self._journal_sink,
             robot_sink,

@@ -23,7 +23,7 @@ from rigs.sockets import free_port
 from rigs.wait import WITHIN_S, wait_for
 
 from touchd.daemon.bridges.bridge import Bridge, BridgeError
-from touchd.daemon.bridges.retained import Retained
+from touchd.daemon.bridges.retained import OnBroker, Retained, file_for
 from touchd.daemon.bridges.settings import MqttSettings
 from touchd.daemon.config import PadSettings, SceneSettings, Settings
 from touchd.daemon.events import SensorEvent, decode, encode
@@ -269,60 +269,147 @@ def all_retained(port: int) -> dict[str, str]:
 ANNOUNCED = "homeassistant/event/touchd_pad/config"
 
 
-@pytest.mark.parametrize("change", ["pad", "topic", "discovery"])
-def test_what_a_former_configuration_left_is_cleared(port: int, change: str) -> None:
-    before = Settings(mqtt=MqttSettings(host="127.0.0.1", port=port, discovery="homeassistant"))
-    assert before.mqtt is not None
-    after = {
-        "pad": Settings(mqtt=before.mqtt, sensors={"arm": PadSettings(port="/dev/arm")}),
-        "topic": Settings(mqtt=msgspec.structs.replace(before.mqtt, topic="lab/nao1")),
-        "discovery": Settings(mqtt=msgspec.structs.replace(before.mqtt, discovery=None)),
-    }[change]
-    topics = {
-        "pad": {"touchd/arm/state", "homeassistant/event/touchd_arm/config"},
-        "topic": {"lab/nao1/pad/state", "homeassistant/event/lab_nao1_pad/config"},
-        "discovery": {"touchd/pad/state"},
-    }[change]
-    publish(port, "lab/other/pad/state", "up")
-    for settings, wanted in ((before, {"touchd/pad/state", ANNOUNCED}), (after, topics)):
-        (bridge,) = bridges_to_others(settings, {"pad": Scripted(), "arm": Scripted()}, Path("/etc/a.yaml"))
-        bridge.start()
-        wait_for(lambda wanted=wanted: all_retained(port).keys() == {*wanted, "lab/other/pad/state"})
+Configured = Callable[..., tuple[Bridge, ...]]
+
+
+@pytest.fixture
+def configured(tmp_path: Path) -> Iterator[Configured]:
+    """Starts the bridges of a configuration file of this name, which is written if it is missing."""
+    started: list[Bridge] = []
+
+    def configure(name: str, mqtt: MqttSettings | None, **settings: Any) -> tuple[Bridge, ...]:
+        (tmp_path / name).touch()
+        models = {"pad": Scripted(), "arm": Scripted()}
+        bridges = bridges_to_others(Settings(mqtt=mqtt, **settings), models, tmp_path / name)
+        started.extend(bridges)
+        for bridge in bridges:
+            bridge.start()
+        return bridges
+
+    yield configure
+    stop(*started)
+
+
+def stop(*bridges: Bridge) -> None:
+    for bridge in bridges:
         bridge.stop(2.0)
 
 
-def test_the_late_last_will_of_a_former_configuration_is_cleared(port: int) -> None:
-    for topic in ("old", "new"):
-        settings = Settings(mqtt=MqttSettings(host="127.0.0.1", port=port, topic=topic))
-        (bridge,) = bridges_to_others(settings, MODELS, Path("/etc/b.yaml"))
-        bridge.start()
-        wait_for(lambda topic=topic: all_retained(port).keys() == {f"{topic}/pad/state"})
-        if topic == "new":
-            publish(port, "old/pad/state", "lost")
-            wait_for(lambda: all_retained(port).keys() == {"new/pad/state"})
-        bridge.stop(2.0)
+def announced(port: int, **settings: Any) -> MqttSettings:
+    return MqttSettings(**({"host": "127.0.0.1", "port": port, "discovery": "homeassistant"} | settings))
 
 
-def test_another_configuration_of_this_computer_is_not_cleared(port: int) -> None:
+OTHERS = "lab/other/pad/state"
+
+
+@pytest.mark.parametrize("change", ["pad", "topic", "discovery", "section"])
+def test_what_a_former_configuration_left_is_cleared(port: int, configured: Configured, change: str) -> None:
+    publish(port, OTHERS, "up")
+    before = configured("a.yaml", announced(port))
+    wait_for(lambda: all_retained(port).keys() == {"touchd/pad/state", ANNOUNCED, OTHERS})
+    stop(*before)
+    left: set[str] = set()
+    match change:
+        case "pad":
+            configured("a.yaml", announced(port), sensors={"arm": PadSettings(port="/dev/arm")})
+            left = {"touchd/arm/state", "homeassistant/event/touchd_arm/config"}
+        case "topic":
+            configured("a.yaml", announced(port, topic="lab/nao1"))
+            left = {"lab/nao1/pad/state", "homeassistant/event/lab_nao1_pad/config"}
+        case "discovery":
+            configured("a.yaml", announced(port, discovery=None))
+            left = {"touchd/pad/state"}
+        case _:
+            configured("a.yaml", None)
+    wait_for(lambda: all_retained(port).keys() == {*left, OTHERS})
+
+
+def test_what_a_moved_configuration_left_is_cleared(
+    port: int, configured: Configured, tmp_path: Path
+) -> None:
+    before = configured("a.yaml", announced(port))
+    wait_for(lambda: ANNOUNCED in all_retained(port))
+    stop(*before)
+    (tmp_path / "a.yaml").rename(tmp_path / "b.yaml")
+    configured("b.yaml", announced(port, topic="lab/nao1"))
+    moved = {"lab/nao1/pad/state", "homeassistant/event/lab_nao1_pad/config"}
+    wait_for(lambda: all_retained(port).keys() == moved)
+
+
+def test_what_a_moved_configuration_still_uses_stays(
+    port: int, configured: Configured, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    before = configured("a.yaml", announced(port))
+    wait_for(lambda: ANNOUNCED in all_retained(port))
+    stop(*before)
+    (tmp_path / "a.yaml").rename(tmp_path / "b.yaml")
+    with caplog.at_level("INFO"):
+        configured("b.yaml", announced(port, discovery=None))
+        wait_for(lambda: all_retained(port) == {"touchd/pad/state": "down"})
+    assert f"cleared {ANNOUNCED}" in caplog.text
+    assert "cleared touchd/pad/state" not in caplog.text
+
+
+def test_a_former_broker_is_cleared_once_it_is_there_and_forgotten(
+    port: int, configured: Configured, tmp_path: Path
+) -> None:
+    other = free_port()
+    lines = f"allow_anonymous true\npersistence true\npersistence_location {tmp_path}/\nuser root\n"
+    with broker(tmp_path, other, lines):
+        before = configured("a.yaml", announced(other))
+        wait_for(lambda: all_retained(other).keys() == {"touchd/pad/state", ANNOUNCED})
+        stop(*before)
+    stop(*configured("a.yaml", announced(port)))
+    _, clearing = configured("a.yaml", announced(port))
+    with broker(tmp_path, other, lines):
+        wait_for(lambda: all_retained(other) == {})
+        wait_for(lambda: len(configured("a.yaml", announced(port))) == 1)
+        stop(clearing)
+
+
+def test_the_late_last_will_of_a_former_configuration_is_cleared(port: int, configured: Configured) -> None:
+    before = configured("a.yaml", announced(port, topic="old", discovery=None))
+    wait_for(lambda: all_retained(port).keys() == {"old/pad/state"})
+    stop(*before)
+    configured("a.yaml", announced(port, topic="new", discovery=None))
+    wait_for(lambda: all_retained(port).keys() == {"new/pad/state"})
+    publish(port, "old/pad/state", "lost")
+    wait_for(lambda: all_retained(port).keys() == {"new/pad/state"})
+
+
+def test_another_configuration_of_this_computer_is_not_cleared(port: int, configured: Configured) -> None:
     bridges: list[Bridge] = []
     for topic in ("one", "two"):
-        settings = Settings(mqtt=MqttSettings(host="127.0.0.1", port=port, topic=topic))
-        bridges += bridges_to_others(settings, MODELS, Path(f"/etc/{topic}.yaml"))
+        bridges += configured(f"{topic}.yaml", announced(port, topic=topic, discovery=None))
     for bridge in bridges:
-        bridge.start()
         bridge.put(UP)
     wait_for(lambda: all_retained(port) == {"one/pad/state": "up", "two/pad/state": "up"})
-    for bridge in bridges:
-        bridge.stop(2.0)
-    assert all_retained(port) == {"one/pad/state": "stopped", "two/pad/state": "stopped"}
+    stop(*bridges)
+    configured("two.yaml", None)
+    wait_for(lambda: all_retained(port) == {"one/pad/state": "stopped"})
 
 
-def test_a_damaged_memory_of_topics_does_not_matter(port: int, tmp_path: Path) -> None:
-    for content in (b"", b"\0" * 100, b'{"a": 1}', b"[" * 100_000):
-        (tmp_path / "mqtt.json").write_bytes(content)
-        assert Retained(tmp_path / "mqtt.json", "a:1", ["b"]).former == []
-    assert Retained(tmp_path / "mqtt.json", "a:1", ["c"]).former == ["b"]
-    assert Retained(Path("/proc/no/mqtt.json"), "a:1", ["c"]).former == []
+def test_a_former_password_file_that_is_gone_stops_nothing(
+    port: int, configured: Configured, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "password").write_text("guess")
+    stop(*configured("a.yaml", announced(port, user="robot", password_file=str(tmp_path / "password"))))
+    (tmp_path / "password").unlink()
+    assert configured("a.yaml", None) == ()
+    assert "touchd/pad/state" in caplog.text
+    assert "cannot be read" in caplog.text
+
+
+def test_a_damaged_memory_of_topics_does_not_matter(tmp_path: Path) -> None:
+    config = tmp_path / "a.yaml"
+    config.touch()
+    on_broker = OnBroker(MqttSettings(), ("b",))
+    for content in (b"", b"\0" * 100, b'{"a": 1}', b"[" * 100_000, b'{"config": "\\u0000"}'):
+        for file in (file_for(config, tmp_path), tmp_path / "mqtt-another.json"):
+            file.write_bytes(content)
+        assert Retained(tmp_path, config, on_broker).former == ()
+    assert Retained(tmp_path, config, None).former == (on_broker,)
+    assert Retained(Path("/proc/no"), config, on_broker).former == ()
 
 
 @pytest.mark.parametrize("ending", ["stopped", "lost", ""])
