@@ -15,21 +15,21 @@ from touchd.daemon.live.address import listen, parse_address, require_library, u
 from touchd.daemon.playback.rig import encoder_for
 from touchd.drivers.fakes.fabric import Fabric
 from touchd.drivers.fakes.fake_port import LivePort
-from touchd.drivers.fakes.hand import GESTURES, SimulatedHand, repeated
-from touchd.drivers.frame import COLUMNS, ROWS, Counts
+from touchd.drivers.fakes.hand import SimulatedHand
+from touchd.drivers.fakes.played import PLAYED, repeated
+from touchd.drivers.frame import COLUMNS, NO_TOUCH, ROWS, Counts
 from touchd.drivers.installed import program_name
 from touchd.drivers.numbers import within
 
-# People's tickles are named rightly about twice as often as the simulated hand's.
-PLAYED = sorted(set(GESTURES) - {"tickle"})
+GESTURES = sorted({*PLAYED, NO_TOUCH})
 DEFAULT_GESTURES = "pat,stroke,rub,constant"
 LEAST_S, MOST_S = 3.0, 3600.0
 
 
 def gestures_in(text: str) -> tuple[str, ...]:
     gestures = tuple(text.split(","))
-    if unknown := [gesture for gesture in gestures if gesture not in PLAYED]:
-        raise argparse.ArgumentTypeError(f"{unknown[0]!r} is none of {', '.join(PLAYED)}")
+    if unknown := [gesture for gesture in gestures if gesture not in GESTURES]:
+        raise argparse.ArgumentTypeError(f"{unknown[0]!r} is none of {', '.join(GESTURES)}")
     return gestures
 
 

@@ -27,9 +27,6 @@ FINGER_WIDTH = 0.9
 
 # Share of the pressure left one frame after the hand has gone.
 LIFT_SHARE = 0.5
-# Longest touch of a repeated gesture, and the shortest pause, which ends a touch.
-LONGEST_TOUCH_S, SHORTEST_PAUSE_S = 3.8, 1.5
-
 DEMO_SEED = 3
 DEMO_SCRIPT = (
     ("notouch", 2.5),
@@ -230,14 +227,6 @@ def demo_gestures(rng: RandomState) -> Iterator[tuple[str, Series]]:
             for gesture, seconds in DEMO_SCRIPT
         ]
     )
-
-
-def repeated(gestures: Sequence[str], every_s: float, rng: RandomState) -> Iterator[tuple[str, Series]]:
-    """Cycle through the gestures, one every `every_s` seconds, each performed differently."""
-    touch_s = min(LONGEST_TOUCH_S, every_s - SHORTEST_PAUSE_S)
-    for gesture in itertools.cycle(gestures):
-        yield "notouch", np.zeros((round((every_s - touch_s) * FRAME_RATE_HZ), ROWS, COLUMNS))
-        yield gesture, pressure(gesture, round(touch_s * FRAME_RATE_HZ), rng)
 
 
 def simulate(script: Sequence[tuple[str, float]], seed: int) -> list[Recording]:

@@ -1,19 +1,22 @@
 """Hands and fingertips that follow pointers: mouse, fingers or pens on the picture of a pad.
 
-A pointer shows where a hand is and when it is down, but not how firmly it presses. Here that follows from its
-speed, from how long it has been down and from what touches. It is set to HAART's training recordings on the
-bare pad; no network's answers were used. Loads are sums over the pad, in counts above rest and noise:
+A pointer shows where a hand is and when it is down, but not how firmly it presses. Here that follows from
+its speed, from how long it has been down and from what touches. It is set to HAART's training recordings on
+the uncovered pad, contact by contact; no network's answers were used. Loads are sums over the pad, in counts
+above rest and noise:
 
-- A hand that lands in one place strikes. Recorded pats peak at 120 to 440 counts in the second or third of
-  four to seven frames; six frames after landing, at most a tenth is left.
-- A moving hand lands lightly and presses more the longer it stays. Recorded strokes are at 62 counts after a
-  seventh of a second and at 125 after a third; rubs are at 160. Loads hardly depend on the speed itself.
+- A hand that lands in one place strikes. Recorded pats peak at 101 to 453 counts (10th and 90th percentile)
+  and touch 10 to 37 taxels; they last 4 to 7 frames. Palm and fingers do not land at once, so that a frame's
+  pattern correlates with the previous one by 0.62 to 0.98.
+- A stroke is even: its load is half of the peak after 2 frames, stays at about 100 to 140 counts and falls in
+  its last 6. Contacts are as heavy in their second half as in their first. Loads hardly depend on the speed.
+- A hand that strokes is long: 1.7 taxels along its way in the first third of the contact and 1.4 in the last,
+  1.75 across (standard deviations), in 10 to 42 taxels. Consecutive frames correlate by 0.86.
+- A hand that comes back presses more, one way more than the other: recorded rubs are at 200 counts, and their
+  lightest tenth has 0.32 of the strongest tenth's load.
 - A resting hand presses down to 650 to 2500 counts.
-- Fingertips press with 60 counts when they tickle and with 265 when they scratch.
-- Within a stroke, the load varies by 28 % about its trend, and a frame's pattern correlates with the previous
-  one by 0.9.
-- The contact of a stroke is 1.4 taxels wide along its way and 1.7 across (standard deviations). A firmer hand
-  touches more taxels: 12 to 16 in strokes, 18 in rubs, 48 at rest.
+- Fingertips press with 60 counts when they tickle and with 160 to 190 when they scratch, with 0.2 of that as
+  they go back.
 """
 
 from collections.abc import Hashable, Mapping
@@ -35,10 +38,10 @@ FRAME_S = 1.0 / FRAME_RATE_HZ
 # Limited, so that many viewers do not make frames late.
 MOST_PRESSES = 20
 # How long a resting and a moving hand take to come off.
-LIFT_S, GLIDE_S = 0.055, 0.15
+LIFT_S, GLIDE_S = 0.055, 0.2
 # In a frame: the share of the way to the pointer that a hand moves, and the share of a new speed and of a new
 # load that it takes on.
-FOLLOW, SPEED_SHARE, LOAD_SHARE = 0.6, 0.25, 0.25
+FOLLOW, SPEED_SHARE, LOAD_SHARE = 0.6, 0.25, 0.5
 # A hand slower than this, in taxels a second, rests. After PAUSE_S it presses down, with the time constant
 # SINK_S.
 MOVING_SPEED = 1.2
@@ -49,21 +52,27 @@ DWELL_S = 0.45
 # LANDS_WITHIN frames, or when the button opens. A hand that has not moved then strikes: the load of the
 # following frames, as shares of the peak.
 LANDS_AFTER, LANDS_WITHIN = 0.1, 5
-STRIKE = (0.6, 1.0, 0.45, 0.25, 0.1)
-# A strike is mostly the fingers': recorded pats are 1.1 taxels long and 1.65 across.
-STRIKE_ROLLED = 0.7
+STRIKE = (0.6, 1.0, 0.6, 0.35, 0.15)
+# The parts of a hand do not strike at once; the largest delay, in frames.
+LATEST_PART = 1.5
+# A strike is the fingers'.
+STRIKE_ROLLED = 1.0
 # Share of a strike's load that spreads the hand: a strike is over before the skin has given way.
 STRIKE_SPREADS = 0.3
 # A hand that moves as it lands turns into its way up to this frame. People lay it along the pad's sides,
 # askew by this angle in radians.
 AIMED_FRAME, ASKEW = 6, 0.15
-# A stroking hand has rolled from its palm onto its fingers after ROLLED_WAY taxels: recorded strokes begin
-# 1.5 taxels wide along their way and end 1.1 wide. A hand that comes back by TURN taxels lies flat again.
-ROLLED_WAY, TURN, ROLL_SHARE = 4.0, 0.5, 0.2
-# Fingertips that pull or go back at this speed, in taxels a second, press more or less by the second share.
-PULL_SPEED, PULL_SHARE = 8.0, 0.6
-# Deviation of a press's load from that of others, and of its parts' from each other, as logarithms.
-FIRMNESS, UNEVENNESS = 0.25, 0.5
+# From FLAT_WAY taxels on, a stroking hand rolls from its palm onto its fingers. After ROLLED_WAY more it has,
+# and has lost the share ROLLED_LIGHTER of its load.
+FLAT_WAY, ROLLED_WAY, ROLLED_LIGHTER = 1.5, 3.0, 0.35
+# A hand that rests, or has come back by TURN taxels, has rolled this far: recorded ones spread 2.2 to 2.5
+# taxels, stroking ones 2.6. Share of the way to such a state in a frame.
+REST_ROLLED, TURN, ROLL_SHARE = 0.7, 0.5, 0.2
+# A hand that goes to and fro presses more as it pulls towards the wrist, and most from this speed on, in
+# taxels a second.
+PULL_SPEED = 8.0
+# Deviation of a press's load from that of others, as a logarithm.
+FIRMNESS = 0.25
 # Fabric sticks and slips under a moving hand: deviation of its load, as a logarithm, for the whole hand and
 # for each part, and the share that the next frame keeps. The same for the tremor of one that rests.
 SLIP, SLIP_OF_PART, SLIP_KEPT = 0.05, 0.5, 0.5
@@ -90,8 +99,9 @@ class Shape:
     """What touches, as parts with a place, and the radius and share of the force of each at rest.
 
     Loads in counts. strike: the peak as it lands in one place. struck: what is left after that. light: as it
-    begins to move. firm: after it has moved for long. still: at rest. pulls: it presses more as it moves
-    towards the wrist.
+    begins to move. firm: after it has moved for long. still: at rest. pulls: the share by which it presses
+    more as it comes back towards the wrist, and less the other way. uneven: deviation of the parts' loads
+    from each other, as a logarithm.
     """
 
     parts: tuple[Part, ...]
@@ -100,21 +110,23 @@ class Shape:
     light: float
     firm: float
     still: float
-    pulls: bool
+    pulls: float
+    uneven: float
 
 
-# The two cushions of the palm, and four fingers.
+# The two cushions of the palm, and the root and the tip of each finger.
 PALM_AND_FINGERS = (
-    *(Part(-1.5, place, 1.4, 0.7) for place in (-1.6, 1.6)),
-    *(Part(1.5, place, 1.0, 0.6) for place in (-2.7, -0.9, 0.9, 2.7)),
+    *(Part(-2.5, place, 1.2, 0.7) for place in (-1.6, 1.6)),
+    *(Part(0.4, place, 0.9, 0.4) for place in (-2.7, -0.9, 0.9, 2.7)),
+    *(Part(2.5, place, 0.8, 0.5) for place in (-2.7, -0.9, 0.9, 2.7)),
 )
 FINGERTIP = Part(0.0, 0.0, 0.6, 1.0)
 FINGERTIPS = tuple(FINGERTIP._replace(across=place) for place in fingers(4))
 # Part of these loads lies below the noise: each taxel's reading counts from three above its rest.
 SHAPES: Mapping[Size, Shape] = {
-    "hand": Shape(PALM_AND_FINGERS, 290.0, 40.0, 70.0, 280.0, 1800.0, pulls=False),
-    "fingertips": Shape(FINGERTIPS, 240.0, 30.0, 80.0, 320.0, 600.0, pulls=True),
-    "finger": Shape((FINGERTIP,), 60.0, 8.0, 20.0, 80.0, 150.0, pulls=True),
+    "hand": Shape(PALM_AND_FINGERS, 260.0, 40.0, 130.0, 260.0, 1800.0, pulls=0.35, uneven=0.5),
+    "fingertips": Shape(FINGERTIPS, 240.0, 30.0, 80.0, 230.0, 600.0, pulls=0.85, uneven=0.9),
+    "finger": Shape((FINGERTIP,), 60.0, 8.0, 20.0, 60.0, 150.0, pulls=0.85, uneven=0.0),
 }
 
 
@@ -153,7 +165,8 @@ class _Press:
         count = len(self._parts)
         # Each hand is held a little differently, and presses in its own way. The fingers point up.
         self._parts[:, 0] += rng.normal(0.0, 0.2 * (count > 1), count)
-        self._shares = self._parts[:, 3] * self._parts[:, 2] ** 2 * rng.lognormal(0.0, UNEVENNESS, count)
+        self._shares = self._parts[:, 3] * self._parts[:, 2] ** 2
+        self._shares *= rng.lognormal(0.0, self._shape.uneven, count)
         self._shares /= self._shares.sum()
         self._firmness = rng.lognormal(0.0, FIRMNESS)
         self._askew = rng.normal(0.0, ASKEW)
@@ -163,11 +176,15 @@ class _Press:
         # The largest distance from where it landed; how far it has rolled onto its fingers, 0 to 1.
         self._way = self._rolled = 0.0
         self._has_turned = False
+        # Whether it moved as it landed.
+        self._glides = False
         # Frames before and since it has landed.
         self._hovered = self._frames = 0
-        self._load = self._strike = self._still_s = 0.0
+        self._load = self._still_s = 0.0
         self._on = 1.0
-        self._strikes: list[float] = []
+        # When each part strikes, in frames after the first; frames since the strike began, None before it.
+        self._delays = rng.uniform(0.0, LATEST_PART, count)
+        self._struck: int | None = None
         # Of the whole hand, and of each part.
         self._noise = rng.normal(size=1 + count)
 
@@ -201,7 +218,7 @@ class _Press:
     def lift(self) -> Series:
         """Come off, once a strike is over; a moving hand glides off."""
         self._press(strikes=True)
-        if not self._strikes:
+        if self._struck is None or self._struck >= len(STRIKE):
             self._on = max(0.0, self._on - FRAME_S / (GLIDE_S if self._speed else LIFT_S))
             self._at = self._at + self._velocity * FRAME_S
         return self._pressure()
@@ -217,15 +234,19 @@ class _Press:
         way = float(np.hypot(*(self._at - self._begun)))
         self._way = max(self._way, way)
         self._has_turned = self._has_turned or way < self._way - TURN
-        wanted = 0.0 if self._has_turned or not self._speed else min(1.0, self._way / ROLLED_WAY)
+        goes_on = self._speed and not self._has_turned
+        rolled = np.clip((self._way - FLAT_WAY) / ROLLED_WAY, 0.0, 1.0)
+        wanted = float(rolled) if goes_on else REST_ROLLED
         self._rolled += ROLL_SHARE * (wanted - self._rolled)
 
     def _press(self, *, strikes: bool) -> None:
         """Go on by a frame; in the first one, land. strikes: how it lands."""
-        if self._frames == 0 and strikes:
-            self._strikes = [self._shape.strike * share for share in STRIKE]
-            self._rolled = STRIKE_ROLLED
-        self._strike = self._strikes.pop(0) if self._strikes else 0.0
+        if self._frames == 0:
+            self._glides = not strikes
+            if strikes:
+                self._struck, self._rolled = -1, STRIKE_ROLLED
+        if self._struck is not None:
+            self._struck += 1
         self._frames += 1
 
     def _wanted(self, pointer: Pointer) -> float:
@@ -236,16 +257,26 @@ class _Press:
         if pointer.pressure is not None:
             # Taken for depth; half of a device's range is as firm as a hand that has moved for long.
             return (2.0 * pointer.pressure) ** 2 * shape.firm
-        if self._speed:
-            return moving * (1.0 + PULL_SHARE * self._pull() * shape.pulls)
+        if self._speed or (self._glides and self._frames <= AIMED_FRAME):
+            if self._has_turned:
+                return moving * (1.0 + shape.pulls * self._pull())
+            return moving * (1.0 - ROLLED_LIGHTER * self._rolled)
         if self._still_s < PAUSE_S:
-            return self._load if self._still_s < (self._hovered - 1) * FRAME_S else shape.struck
+            return self._load if self._glides else shape.struck
         sunk = 1.0 - np.exp(-(self._still_s - PAUSE_S) / SINK_S)
         return float(moving + (shape.still - moving) * sunk)
 
     def _pull(self) -> float:
         """Return how fast fingertips move towards the wrist, -1 to 1; it lies below them, to the right."""
         return float(np.clip(self._velocity.sum() / np.sqrt(2.0) / PULL_SPEED, -1.0, 1.0))
+
+    def _strike(self) -> Series:
+        """Return the load with which each part strikes, in counts."""
+        if self._struck is None:
+            return np.zeros(len(self._parts))
+        times = np.arange(-1, len(STRIKE) + 1)
+        shares: Series = np.interp(self._struck - self._delays, times, (0.0, *STRIKE, 0.0))
+        return self._shape.strike * shares
 
     def _pressure(self) -> Series:
         kept = SLIP_KEPT if self._speed else TREMOR_KEPT
@@ -255,8 +286,9 @@ class _Press:
         # Force grows with the square of the depth.
         each = self._on**2 * self._firmness * uneven
         shares = self._shares * np.where(self._parts[:, 0] < 0.0, 1.0 - self._rolled, 1.0)
-        loads = (self._load + self._strike) * shares / shares.sum() * each
-        depth = np.sqrt((self._load + STRIKE_SPREADS * self._strike) * each / self._shape.still)
+        strike = self._strike()
+        loads = (self._load + strike) * shares / shares.sum() * each
+        depth = np.sqrt((self._load + STRIKE_SPREADS * strike) * each / self._shape.still)
         along, across, radius = self._parts[:, 0], self._parts[:, 1], self._parts[:, 2]
         radius = radius * np.maximum(depth**SPREADS, LEAST_RADIUS)
         sine, cosine = np.sin(self._heading), np.cos(self._heading)

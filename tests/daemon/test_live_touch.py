@@ -29,7 +29,8 @@ from touchd.daemon.live.memory import Scene
 from touchd.daemon.live.touch import LIFTED_AFTER_S, MESSAGES_PER_S, Touching
 from touchd.daemon.playback import touched
 from touchd.daemon.playback.touched import TouchedPad, TouchPage
-from touchd.drivers.fakes.hand import SimulatedHand, repeated
+from touchd.drivers.fakes.hand import SimulatedHand
+from touchd.drivers.fakes.played import repeated
 from touchd.drivers.fakes.pointers import MOST_PRESSES, Pointer, PressingHands
 from touchd.drivers.pad.sensor import FrameQueue
 
