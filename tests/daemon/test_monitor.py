@@ -453,11 +453,11 @@ def test_a_daemon_that_was_stopped_blames_neither_pad_nor_clock(tmp_path: Path) 
     stream = Stream(counts, ideal_clock_ms(len(counts)), ())
     with FakePort(stream, encoder_for(SensorSettings())) as pad, Daemon(tmp_path, pad) as daemon:
         daemon.await_event(SensorEvent)
-        time.sleep(2.0)
+        time.sleep(1.0)
         daemon.process.send_signal(signal.SIGSTOP)
-        time.sleep(5.0)
-        daemon.process.send_signal(signal.SIGCONT)
         time.sleep(3.0)
+        daemon.process.send_signal(signal.SIGCONT)
+        time.sleep(1.5)
         assert daemon.stop() == 0
     assert [event.state for event in daemon.events if isinstance(event, SensorEvent)] == ["up"]
     assert [line for line in daemon.log.splitlines() if "drivers.pad" in line and "WARNING" in line] == []

@@ -236,6 +236,7 @@ def test_a_frame_number_is_neither_a_clock_nor_a_fault() -> None:
 def test_a_recording_played_faster_keeps_its_clock(speed: float) -> None:
     clock, frames = dated(lambda second: round(1000 * second), 6 * speed, lambda second: second / speed)
     assert clock.note == ""
+    assert len(frames) == round(54 * 6 * speed)
     assert np.diff([ms for _, ms in frames]).mean() == pytest.approx(1000 / 54, rel=0.01)
 
 
@@ -313,6 +314,28 @@ def test_a_pause_while_the_board_starts_is_dated_as_long_as_it_was(pause_s: floa
     )
     steps_ms = np.diff([ms for _, ms in frames])
     assert sorted(steps_ms)[-2:] == [pytest.approx(1000 * pause_s + 19, abs=2)] * 2
+
+
+def test_frames_around_a_restart_that_were_read_together_rise() -> None:
+    _, frames = dated(lambda second: round(1000 * (second % 3)), 9.0, lambda second: second // 0.4 * 0.4)
+    assert len(frames) == 54 * 9
+    assert np.diff([ms for _, ms in frames]).min() >= 1
+
+
+@pytest.mark.parametrize(
+    ("jump_s", "restart_s", "is_restart"),
+    [(1.0, 1.0, False), (1.0, 60.5, False), (1.0, 61.5, True), (0.0, 0.2, False), (0.0, 0.3, True)],
+)
+def test_a_clock_that_jumped_ahead_lately_or_just_began_has_not_restarted(
+    jump_s: float, restart_s: float, is_restart: bool
+) -> None:
+    clock, _ = dated(
+        lambda second: (
+            round(1000 * second + 50_000 * (second >= jump_s > 0) - 20_000 * (second >= restart_s)) + 30_000
+        ),
+        restart_s + 2.0,
+    )
+    assert clock.counts.restarts == is_restart
 
 
 @pytest.mark.parametrize("turn_s", [0.1, 0.3, 1.0, 4.0])
