@@ -189,6 +189,8 @@ def test_zero_is_refused_after_the_model_is_loaded(tmp_path: Path, text: str) ->
         ("scene: {answer_at_frames: [1, 2, %s]}", [432], [433]),
         ("scene: {speak_above: %s}", [0, 1], [-0.01, 1.01]),
         ("scene: {stale_s: %s}", [0.001, 60], [60.1]),
+        ("touch: {onset_threshold: %s}", [0.001, 1000], [0, 1000.1]),
+        ("touch: {quiet_s: %s}", [0.1, 5], [0.09, 5.1]),
     ],
 )
 def test_a_setting_takes_its_whole_range(

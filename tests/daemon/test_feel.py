@@ -81,6 +81,10 @@ def test_a_rule_can_require_a_hard_or_short_touch() -> None:
         return bool(Choice([hard]).actions(answer, 0.0))
 
     assert says(peak=300, duration_s=1.9)
+    assert says(peak=400, duration_s=0.5)
+    assert not says(peak=400, duration_s=3.0)
     assert not says(peak=299, duration_s=1.0)
     assert not says(peak=400, duration_s=2.0)
     assert not says()
+    for limits in ({"above": {"peak": 0}}, {"below": {"peak": 999}}):
+        assert Choice([ActionRule(do=(say,), **limits)]).actions(PREDICTION, 0.0) == []

@@ -5,43 +5,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rigs.made_pad import MadePad, Scans, nothing, palm, pat
+from rigs.made_pad import Scans, nothing, palm, pat
+from rigs.tracked_pad import TrackedPad
 
 from touchd.daemon.tracker.baseline import Baseline, LastSecond
-from touchd.daemon.tracker.network_check import PNoTouch
-from touchd.daemon.tracker.tracker import Onset, Release, TouchSettings, TouchTracker
-from touchd.drivers.pad.grid import GridFrame
+from touchd.daemon.tracker.tracker import Onset, Release, TouchSettings
 from touchd.model.classifier import Classifier, as_known
-
-
-class TrackedPad(MadePad):
-    """A made pad that feeds a tracker."""
-
-    def __init__(self, settings: TouchSettings | None = None, p_no_touch: PNoTouch | None = None) -> None:
-        super().__init__()
-        question = None if p_no_touch is None else lambda frames, rest: p_no_touch(frames)
-        self.tracker = TouchTracker(settings or TouchSettings(), question)
-        self.index = 0
-        self.gap_ms = 0.0
-
-    def feel(self, *pressures: Scans | float, restarted: bool = False) -> list[Onset | Release]:
-        """Feed scans (T, 8, 8), or seconds of nothing; return the tracker's changes."""
-        changes = []
-        for pressure in pressures:
-            scans = nothing(pressure) if isinstance(pressure, float) else pressure
-            for counts in self.counts(scans).astype(np.float32):
-                sensor_ms = self.index * 1000 / 54 + self.gap_ms
-                change = self.tracker.update(GridFrame(self.index, sensor_ms, 0.0, counts, False, restarted))
-                changes += [change] if change else []
-                self.index += 1
-                restarted = False
-        return changes
-
-    def touched(self, *pressures: Scans | float) -> tuple[Onset, Release]:
-        """Feed pressure that must be exactly one touch; return its beginning and end."""
-        onset, release = self.feel(*pressures)
-        assert (type(onset), type(release)) == (Onset, Release)
-        return onset, release
 
 
 @pytest.fixture
