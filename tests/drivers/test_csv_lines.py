@@ -10,6 +10,7 @@ from rigs.wire import PERIOD_MS, assert_are, counts_of, fed
 
 from touchd.drivers.pad.format import PRESETS, PadFormat, layout_of
 from touchd.drivers.pad.protocol import parser_of
+from touchd.drivers.pad.text import numbers_in
 
 
 def line(number: int) -> bytes:
@@ -54,6 +55,7 @@ def test_lines_may_use_any_usual_separator_and_line_end(separator: bytes) -> Non
         (b"1," * 100_000 + b"1\n", "bad_framing"),
         (line(2).split(b",", 1)[1], "bad_framing"),
         (line(2)[:-1] + b"1,1\n", "bad_framing"),
+        (b"1," * 50 + b"1\n", "bad_framing"),
     ],
 )
 def test_a_bad_line_is_refused_and_counted_by_name(bad: bytes, reason: str) -> None:
@@ -61,10 +63,13 @@ def test_a_bad_line_is_refused_and_counted_by_name(bad: bytes, reason: str) -> N
     frames = fed(parser, lines([0, 1]) + bad + line(3) + line(4), range(0, 3000, 70))
     assert_are(frames, [0, 1, 3, 4])
     assert getattr(parser.counts, reason) == parser.counts.bad == 1
+    dropped = len(bad) if reason == "bad_framing" else 0
+    assert parser.counts.bytes_dropped == len(b"half a line\n") + dropped
 
 
 @pytest.mark.parametrize(
-    "words", [b"hello\n", b"I (123) wifi: rssi=-61\n", b"\xff\xfe\x00\n", line(2)[:100] + b"\n"]
+    "words",
+    [b"hello\n", b"I (123) wifi: rssi=-61\n", b"\xff\xfe\x00\n", line(2)[:100] + b"\n", b"1," * 49 + b"1\n"],
 )
 def test_other_output_of_the_pad_is_not_counted_as_damage(words: bytes) -> None:
     parser = CsvLines()
@@ -72,7 +77,7 @@ def test_other_output_of_the_pad_is_not_counted_as_damage(words: bytes) -> None:
     assert parser.counts.bad == 0
 
 
-@pytest.mark.parametrize("words", [b"", b"hello\n", b"\n\n\n", b"\xff\xfe\x00\n", b"# a comment\n\n"])
+@pytest.mark.parametrize("words", [b"", b"hello\n", b"\n\n\n", b"7\n", b"\xff\xfe\x00\n", b"# a comment\n\n"])
 def test_bytes_outside_frames_are_counted(words: bytes) -> None:
     parser = CsvLines()
     parser.feed(lines([0, 1]) + words + line(3), 0.0)
@@ -146,12 +151,46 @@ def test_numbers_are_read_whatever_stands_around_them(printed: str, skip: int) -
 def test_numbers_before_and_after_a_rows_cells_are_skipped() -> None:
     described = PadFormat(framing="text", rows=5, columns=6, skip=1, tail=2)
     printed = "".join(f"{row}: 77, {str(cells)[1:-1]}, 99, 98\n" for row, cells in enumerate(ROWS)) + "\n"
-    frames = parser_of(described).feed(printed.encode() * 3, 0.0)
+    parser = parser_of(described)
+    damaged = printed[: printed.index("2:")] + printed[printed.index("3:") :]
+    frames = parser.feed((printed * 2 + damaged + printed).encode(), 0.0)
     assert len(frames) == 2
+    assert parser.counts.bad == 1
     for frame in frames:
         np.testing.assert_array_equal(
             frame.pressure, layout_of(described).pressure(np.array(CELLS, np.uint16))
         )
+
+
+@pytest.mark.parametrize(
+    ("printed", "numbers", "label"),
+    [
+        (b"1 2.5 -3", [1, 2.5, -3], None),
+        (b"3: 4 5", [4, 5], 3),
+        (b"1.5: 4 5", [4, 5], None),
+        (b"3: 7: 4 5", [4, 5], 3),
+        (b"4 7: 5", [4, 5], None),
+        (b"R3 A7 4 5", [4, 5], 3),
+        (b"4 R3 5", [4, 5], None),
+        (b"123456789: 4", [4], 123456789),
+        (b"R1234567890 4", [4], 123456789),
+        (b"0x1F nan NULL 1e3 .5", [31, 0, 0, 1000, 0.5], None),
+        (b"hello", [], None),
+    ],
+)
+def test_a_line_is_numbers_after_the_first_label(
+    printed: bytes, numbers: list[float], label: int | None
+) -> None:
+    assert numbers_in(printed) == (numbers, label)
+
+
+def test_half_a_frame_after_a_reconnect_is_not_damage() -> None:
+    parser = parser_of(PadFormat(framing="text", rows=5, columns=6))
+    frame = "".join(",".join(map(str, cells)) + "\n" for cells in ROWS) + "\n"
+    assert len(parser.feed((frame * 3).encode(), 0.0)) == 2
+    parser.reset()
+    assert len(parser.feed((frame[40:] + frame * 2).encode(), 0.0)) == 2
+    assert parser.counts.bad == 0
 
 
 def test_a_wide_line_with_words_is_read_and_an_endless_one_is_not() -> None:
