@@ -153,3 +153,13 @@ def test_contact_begins_a_touch_from_the_threshold_on(threshold: float) -> None:
     # What a loose wire may lift, 25 counts at most, is not counted.
     assert begins(2.5 * threshold + 60)
     assert not begins(0.2 * threshold)
+
+
+def test_beside_an_object_that_became_rest_light_touches_are_detected(pad: TrackedPad) -> None:
+    box = palm(14.0, counts=200.0, trembling=False)
+    _, release = pad.feel(box)
+    assert release.reason == "settled"
+    beside = box[:27].copy()
+    beside[:, 5:8, 0:3] += 7.0
+    began = pad.index
+    assert pad.feel(beside) == [Onset(began)]

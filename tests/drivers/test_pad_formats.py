@@ -256,6 +256,8 @@ def test_a_polled_pad_gives_one_frame_per_poll(name: str) -> None:
     parser.ask(1.0)
     assert parser.ask_in_s(1.05) == float("inf")
     assert parser.ask_in_s(1.3) == 0.0
+    parser.reset()
+    assert parser.ask_in_s(1.05) == 0.0
 
 
 def test_no_frame_mixes_bytes_of_two() -> None:
