@@ -160,6 +160,6 @@ def test_beside_an_object_that_became_rest_light_touches_are_detected(pad: Track
     _, release = pad.feel(box)
     assert release.reason == "settled"
     beside = box[:27].copy()
-    beside[:, 5:8, 0:3] += 7.0
+    beside[:, 5:8, 0:3] += palm(0.5, 7.0)[:, 2:5, 3:6]
     began = pad.index
     assert pad.feel(beside) == [Onset(began)]

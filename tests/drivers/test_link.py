@@ -164,14 +164,16 @@ def test_a_link_may_be_stopped_twice_and_before_it_starts() -> None:
 
 
 def test_a_link_that_does_not_end_is_logged_and_left(caplog: pytest.LogCaptureFixture) -> None:
-    goes_on = threading.Event()
+    begun, goes_on = threading.Event(), threading.Event()
 
     def hangs(*_: object) -> RobotSession:
+        begun.set()
         goes_on.wait(10)
         raise RobotLost("over")
 
     link = RobotLink(RobotSettings(url=URL), open_session=hangs)
     link.start()
+    assert begun.wait(10)
     begun_s = time.monotonic()
     link.stop(timeout_s=0.05)
     assert time.monotonic() - begun_s < 0.9
