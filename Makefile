@@ -98,15 +98,17 @@ soak: $(RUNTIME)
 expectations: $(RUNTIME)
 	PYTHONPATH=tests $(BIN)/python -m rigs.rebuild $(if $(RECORD),--record) $(if $(ADD),--add $(ADD))
 
-# cosmic-ray has an environment of its own: no test and nothing that is installed needs it. A file takes minutes;
-# all tests for each fault, hours.
+# cosmic-ray has an environment of its own: no test and nothing that is installed needs it. With the tests that are
+# about the file it takes minutes. SAMPLE: how many faults, drawn at random; 0 for all.
 MUTATION := $(VENV)/mutation
 TESTS ?= tests
+SAMPLE ?= 0
 mutants: $(DEVELOPMENT)
 	@test -n '$(FILES)' || { echo 'make mutants FILES=daemon/decide.py TESTS=tests/daemon/test_decide.py'; exit 1; }
 	@test -e $(MUTATION)/bin/cosmic-ray || { $(BIN)/python -m venv $(MUTATION) && \
 	  $(MUTATION)/bin/python -m pip install -q --disable-pip-version-check 'cosmic-ray>=8.7,<9'; }
-	@PYTHONPATH=.:tests nice -n 15 $(BIN)/python -m by_hand.mutants --tool $(MUTATION) --tests '$(TESTS)' $(FILES)
+	@PYTHONPATH=.:tests nice -n 15 $(BIN)/python -m by_hand.mutants --tool $(MUTATION) --sample $(SAMPLE) \
+	  --tests '$(TESTS)' $(FILES)
 
 # PREFIX/touchd becomes a virtual environment of the service's own. DESTDIR: where a package is put together.
 # BINDIR: where the command is linked, for every shell. SYSTEM: where systemd and udev look, /usr/lib in a package.

@@ -14,16 +14,6 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).parents[2]
-# Tests that take longer wait for ever.
-TIMEOUT_S = 60.0
-# Left out: mutants of annotations, of bits, and of identity, which for short strings and whole numbers is
-# equality.
-EXCLUDED = (
-    "core/ReplaceBinaryOperator_BitOr_.*",
-    "core/ReplaceBinaryOperator_.*_(Pow|Mod|FloorDiv|LShift|RShift|BitOr|BitAnd|BitXor)",
-    "core/ReplaceComparisonOperator_(Eq|NotEq|Lt|LtE|Gt|GtE)_(Is|IsNot)",
-    "core/RemoveDecorator",
-)
 
 
 def copy_of_tree(folder: Path) -> Path:
@@ -40,52 +30,61 @@ def copy_of_tree(folder: Path) -> Path:
     return copy
 
 
-def tried(tool: Path, file: str, tests: str, folder: Path, copy: Path) -> list[Any]:
-    """Return cosmic-ray's pairs of a mutant and its result."""
-    config, session = folder / "config.toml", folder / f"{file.replace('/', '.')}.sqlite"
-    command = f"{sys.executable} -m pytest -x -n 0 -p no:cacheprovider {tests}"
-    config.write_text(
-        f"[cosmic-ray]\nmodule-path = {file!r}\ntimeout = {TIMEOUT_S}\nexcluded-modules = []\n"
-        f"test-command = {command!r}\n[cosmic-ray.distributor]\nname = 'local'\n"
-        f"[cosmic-ray.filters.operators-filter]\nexclude-operators = {list(EXCLUDED)!r}\n"
+def tried(given: argparse.Namespace, file: str, folder: Path, copy: Path) -> list[dict[str, Any]]:
+    """Return each mutant's line, what it became, and which test caught it, if any."""
+    mutants, report = folder / "mutants.jsonl", folder / "report.jsonl"
+    with mutants.open("w") as listed:
+        mutate = [
+            given.tool / "bin/python",
+            ROOT / "tests/by_hand/mutate.py",
+            f"--sample={given.sample}",
+            file,
+        ]
+        subprocess.run(mutate, cwd=copy, stdout=listed, check=True)
+    variables = {"FILE": file, "LIST": mutants, "REPORT": report, "SECONDS": given.seconds}
+    environment = {f"MUTANTS_{name}": str(value) for name, value in variables.items()}
+    environment |= {"PYTHONPATH": f"{folder}:tests", "OPENBLAS_NUM_THREADS": "1"}
+    pytest = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-n",
+        "0",
+        "-p",
+        "no:cacheprovider",
+        "-p",
+        "by_hand.mutant_runner",
+    ]
+    done = subprocess.run(
+        [*pytest, *given.tests.split()],
+        cwd=copy,
+        env=os.environ | environment,
+        stdout=subprocess.PIPE,
+        text=True,
     )
-    environment = os.environ | {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
-
-    def run(name: str, *arguments: str | Path) -> str:
-        asked = [tool / "bin" / name, *arguments]
-        return subprocess.run(
-            asked, cwd=copy, env=environment, stdout=subprocess.PIPE, text=True, check=True
-        ).stdout
-
-    run("cosmic-ray", "baseline", config)
-    run("cosmic-ray", "init", config, session)
-    run("cr-filter-operators", session, config)
-    run("cosmic-ray", "exec", config, session)
-    return [json.loads(line) for line in run("cosmic-ray", "dump", session).splitlines()]
+    if not report.exists():
+        sys.exit(done.stdout)
+    return [json.loads(line) for line in report.read_text().splitlines()]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--tool", type=Path, required=True, help="the virtual environment with cosmic-ray")
-    parser.add_argument("--tests", default="tests", help="what pytest runs for each mutant")
+    parser.add_argument("--tests", default="tests", help="which tests to run against each mutant")
+    parser.add_argument("--sample", type=int, default=0, help="how many mutants of a file; 0: all")
+    parser.add_argument("--seconds", type=float, default=5.0, help="of processor for a mutant's tests")
     parser.add_argument("files", nargs="+")
     given = parser.parse_args()
+    given.tool = given.tool.absolute()
     lines: list[str] = []
-    rows = ["| file | mutants | caught |", "|---|---|---|"]
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        copy = copy_of_tree(folder)
-        for file in given.files:
-            pairs = tried(given.tool.resolve(), file, given.tests, folder, copy)
-            counted = [(item, result) for item, result in pairs if result["worker_outcome"] != "skipped"]
-            survived = [item for item, result in counted if result["test_outcome"] == "survived"]
-            places = [
-                (item["mutations"][0]["start_pos"][0], item["mutations"][0]["operator_name"])
-                for item in survived
-            ]
-            lines += [f"{file}:{line}: {change} survives" for line, change in sorted(places)]
-            caught = len(counted) - len(survived)
-            rows.append(f"| `{file}` | {len(counted)} | {caught} ({caught / len(counted):.0%}) |")
+    rows = ["| file | faults | caught |", "|---|---|---|"]
+    for file in given.files:
+        with tempfile.TemporaryDirectory() as name:
+            mutants = tried(given, file, Path(name), copy_of_tree(Path(name)))
+        missed = [mutant for mutant in mutants if not mutant["caught"]]
+        lines += [f"{file}:{mutant['line']}: {mutant['changed']}" for mutant in missed]
+        caught = len(mutants) - len(missed)
+        rows.append(f"| `{file}` | {len(mutants)} | {caught} ({caught / len(mutants):.0%}) |")
     sys.stdout.write("\n".join([*lines, *rows, ""]))
 
 
