@@ -55,7 +55,10 @@ def test_nothing_ends_at_rest_and_a_touch_ends_after_its_quiet_time() -> None:
     assert (pad.tracker.is_settled(42), pad.tracker.is_settled(43)) == (True, False)
     pad.feel(nothing(20 / 54))
     assert (pad.tracker.is_settled(22), pad.tracker.is_settled(24)) == (True, False)
-    assert isinstance(pad.feel(1.0)[0], Release)
+    # Contact is seen a frame late.
+    assert pad.feel(nothing(23 / 54)) == []
+    (release,) = pad.feel(nothing(1 / 54))
+    assert isinstance(release, Release)
     assert pad.tracker.is_settled(1000)
     pad.feel(palm(5 / 54, 6.0, trembling=False))
     assert not pad.tracker.is_settled(1)
@@ -163,3 +166,92 @@ def test_beside_an_object_that_became_rest_light_touches_are_detected(pad: Track
     beside[:, 5:8, 0:3] += palm(0.5, 7.0)[:, 2:5, 3:6]
     began = pad.index
     assert pad.feel(beside) == [Onset(began)]
+
+
+@pytest.mark.parametrize("gap_ms", [400.0, 5000.0])
+def test_a_gap_while_rest_is_measured_begins_the_measurement_again(gap_ms: float) -> None:
+    pad = TrackedPad()
+    pad.rest += 40
+    assert pad.feel(0.3) == []
+    pad.gap_ms += gap_ms
+    assert pad.feel(nothing(2.0), restarted=True) == []
+    assert pad.feel(palm(0.2)) == [Onset(pad.index - 11)]
+
+
+def test_contact_before_a_gap_does_not_count_after_it(seen: TrackedPad, network: Network) -> None:
+    network.no_touch = 0.9
+    assert seen.feel(palm(0.3, counts=6.0, trembling=False)) == []
+    seen.gap_ms += 400.0
+    began = seen.index
+    network.no_touch = 0.02
+    (onset,) = seen.feel(palm(1.2, counts=8.0), restarted=True)
+    assert onset.first_index >= began
+
+
+def rising(frames: int, counts: float) -> Scans:
+    hand = palm(frames / 54, 0.0, trembling=False)
+    hand[:, 2:5, 3:6] = np.linspace(0, counts, frames, dtype=np.float32)[:, None, None]
+    return hand
+
+
+def test_a_light_hand_that_moves_at_once_needs_no_network(seen: TrackedPad) -> None:
+    began, moving = seen.index, rising(5, 6.0)
+    moving[:, 2:5, 3:6] += 3.0
+    (onset,) = seen.feel(palm(4 / 54, 3.0, trembling=False), moving)
+    assert abs(onset.first_index - began) <= 2
+
+
+def test_contact_that_moves_late_needs_the_network(seen: TrackedPad, network: Network) -> None:
+    steady, moving = palm(0.3, 4.5, trembling=False), rising(20, 4.0)
+    moving[:, 2:5, 3:6] += 4.5
+    assert seen.feel(steady, moving) == []
+    network.no_touch = 0.02
+    assert isinstance(seen.feel(palm(0.3, 8.5))[0], Onset)
+
+
+def test_a_tap_that_leaves_a_little_is_noticed_at_once() -> None:
+    def sees_what_varies(window: NDArray[np.float32]) -> float:
+        return 0.02 if np.ptp(window.mean(axis=(1, 2))) > 1.2 else 0.9
+
+    pad = TrackedPad(p_no_touch=sees_what_varies)
+    pad.feel(3.0)
+    began = pad.index
+    (onset,) = pad.feel(np.full((6, 8, 8), 4.0, np.float32), np.full((18, 8, 8), 2.3, np.float32))
+    assert abs(onset.first_index - began) <= 2
+
+
+def test_a_longer_tap_is_asked_about_from_its_beginning(network: Network) -> None:
+    windows: list[int] = []
+
+    def notes(window: NDArray[np.float32]) -> float:
+        windows.append(len(window))
+        return 0.9
+
+    pad = TrackedPad(p_no_touch=notes)
+    pad.feel(3.0)
+    windows.clear()
+    pad.feel(np.full((10, 8, 8), 4.0, np.float32), nothing(14 / 54))
+    # The tap, a quarter of a second after it, and two frames before it.
+    assert 24 <= max(length for length in windows if length != 36) <= 27
+
+
+@pytest.mark.parametrize(("counts", "goes_on"), [(60.0, True), (300.0, False)], ids=["a hand", "a hug"])
+def test_on_a_pad_it_hardly_knows_the_network_prolongs_no_hug(
+    network: Network, counts: float, goes_on: bool
+) -> None:
+    network.no_touch = 0.6
+    pad = TrackedPad(p_no_touch=network)
+    pad.feel(3.0)
+    network.no_touch = 0.02
+    pad.feel(palm(1.5, counts))
+    assert (pad.feel(1.5) == []) == goes_on
+
+
+def test_a_touch_that_ends_by_stillness_is_dated_soon_after_the_hand(
+    seen: TrackedPad, network: Network
+) -> None:
+    network.no_touch = 0.02
+    seen.feel(palm(2.0, counts=100.0))
+    left = seen.index
+    (release,) = seen.feel(palm(3.0, counts=13.0, trembling=False))
+    assert 0 <= release.last_index - left <= 27
