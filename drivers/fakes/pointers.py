@@ -12,13 +12,14 @@ above rest and noise:
   its last 6. Contacts are as heavy in their second half as in their first. Loads hardly depend on the speed.
 - A hand that strokes is long: 1.7 taxels along its way in the first third of the contact and 1.4 in the last,
   1.75 across (standard deviations), in 10 to 42 taxels. Consecutive frames correlate by 0.86.
-- A hand that comes back presses more, one way more than the other: recorded rubs are at 200 counts, and their
-  lightest tenth has 0.32 of the strongest tenth's load.
+- A hand that comes back presses more, and unevenly: recorded rubs are at 200 counts, and their load deviates
+  by 0.45 (as a logarithm), a third of it with the way, the rest at any time.
 - A resting hand presses down to 650 to 2500 counts.
 - Fingertips press with 60 counts when they tickle and with 160 to 190 when they scratch, with 0.2 of that as
   they go back.
 """
 
+import math
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, TypeAlias
@@ -77,6 +78,9 @@ FIRMNESS = 0.25
 # for each part, and the share that the next frame keeps. The same for the tremor of one that rests.
 SLIP, SLIP_OF_PART, SLIP_KEPT = 0.05, 0.5, 0.5
 TREMOR, TREMOR_KEPT = 0.05, 0.98
+# A hand that goes to and fro presses unevenly, at most times of its way: the deviation of its load, as a
+# logarithm, and the share that the next frame keeps.
+SWAY, SWAY_KEPT = 0.3, 0.9
 # A part touches more of the pad the deeper it sinks in: its radius grows with this power of the depth. Below
 # LEAST_RADIUS of its radius at rest it would fall between the taxels.
 SPREADS, LEAST_RADIUS = 0.2, 0.4
@@ -124,7 +128,7 @@ FINGERTIP = Part(0.0, 0.0, 0.6, 1.0)
 FINGERTIPS = tuple(FINGERTIP._replace(across=place) for place in fingers(4))
 # Part of these loads lies below the noise: each taxel's reading counts from three above its rest.
 SHAPES: Mapping[Size, Shape] = {
-    "hand": Shape(PALM_AND_FINGERS, 260.0, 40.0, 130.0, 260.0, 1800.0, pulls=0.35, uneven=0.5),
+    "hand": Shape(PALM_AND_FINGERS, 260.0, 40.0, 130.0, 260.0, 1800.0, pulls=0.18, uneven=0.5),
     "fingertips": Shape(FINGERTIPS, 240.0, 30.0, 80.0, 230.0, 600.0, pulls=0.85, uneven=0.9),
     "finger": Shape((FINGERTIP,), 60.0, 8.0, 20.0, 60.0, 150.0, pulls=0.85, uneven=0.0),
 }
@@ -187,6 +191,7 @@ class _Press:
         self._struck: int | None = None
         # Of the whole hand, and of each part.
         self._noise = rng.normal(size=1 + count)
+        self._sway = 0.0
 
     @property
     def is_touching(self) -> bool:
@@ -259,7 +264,8 @@ class _Press:
             return (2.0 * pointer.pressure) ** 2 * shape.firm
         if self._speed or (self._glides and self._frames <= AIMED_FRAME):
             if self._has_turned:
-                return moving * (1.0 + shape.pulls * self._pull())
+                self._sway = SWAY_KEPT * self._sway + math.sqrt(1.0 - SWAY_KEPT**2) * self._rng.normal()
+                return moving * math.exp(SWAY * self._sway) * (1.0 + shape.pulls * self._pull())
             return moving * (1.0 - ROLLED_LIGHTER * self._rolled)
         if self._still_s < PAUSE_S:
             return self._load if self._glides else shape.struck

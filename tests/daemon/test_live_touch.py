@@ -122,8 +122,9 @@ def pats(rng: random.Random) -> Route:
 
 
 def quick_rub(rng: random.Random) -> Route:
-    pace_hz, reach = rng.uniform(1.6, 2.2), rng.uniform(0.2, 0.3)
-    return lambda time_s: (0.5 + reach * math.sin(2 * math.pi * pace_hz * time_s), 0.5)
+    """A rub up and down, as wide and as quick as most in the recordings."""
+    pace_hz, reach = rng.uniform(1.3, 2.0), rng.uniform(0.12, 0.2)
+    return lambda time_s: (0.5, 0.5 + reach * math.sin(2 * math.pi * pace_hz * time_s))
 
 
 def still_hand(rng: random.Random) -> Route:
