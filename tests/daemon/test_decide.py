@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from touchd.daemon.decide import SURE, Decision, DecisionSettings, Sure
+from touchd.daemon.decide import ENDED_NOTOUCH, SURE, Decision, DecisionSettings, Sure
 from touchd.daemon.events import Stage
 
 LABELS = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
@@ -100,11 +100,14 @@ SEQUENCES: dict[str, list[Step]] = {
     ],
     "a short touch that stays unsure ends in uncertain": [
         ("early", {"pat": 0.3}, "pat", True, False),
-        ("released", {"pat": 0.39}, "uncertain", True, True),
+        ("released", {"pat": 0.36}, "uncertain", True, True),
     ],
     "a short touch that has ended is told from a lower confidence on": [
         ("early", {"pat": 0.45}, "pat", True, False),
         ("released", {"pat": 0.45}, "pat", False, True),
+    ],
+    "a touch followed to its end is named though no touch seems as likely": [
+        ("released", {"pat": 0.40, "notouch": 0.55}, "pat", True, True),
     ],
     "a short touch that the model takes for none ends in uncertain, and the robot is not told": [
         ("released", {"notouch": 0.9}, "uncertain", True, False),
@@ -126,7 +129,10 @@ def test_each_answer_is_reported_and_told_as_expected(steps: list[Step]) -> None
         is_uncertain = gesture == "uncertain"
         assert answer.stage == ("uncertain" if is_uncertain else stage)
         named = max(given, key=given.__getitem__) if is_uncertain else gesture
-        assert answer.confidence == pytest.approx(probabilities(**given)[LABELS.index(named)])
+        said = dict(zip(LABELS, probabilities(**given), strict=True))
+        if answer.stage in ("released", "uncertain"):
+            said["notouch"] *= ENDED_NOTOUCH
+        assert answer.confidence == pytest.approx(said[named] / sum(said.values()))
         told_last = gesture if told and not is_uncertain else told_last
     assert decision.told == told_last
 
