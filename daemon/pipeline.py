@@ -41,12 +41,11 @@ from touchd.drivers.pad.grid import MAX_GAP_S, GridFrame, Ring
 from touchd.model.classifier import Classifier, ModelState, as_known
 
 STAGES: tuple[Stage, Stage, Stage] = ("early", "revised", "final")
-# After the final answer the network is asked about the last three quarters of a second alone, three times a
-# second. The mean of three such windows shows whether the gesture has changed. With two windows and log odds
-# of 5.5, 5 in 100 changes more are told, but 2 to 5 in 100 touches that do not change are told again.
+# After the final answer the network is asked about the last second alone, three times a second while the hand
+# is there. The mean of two such windows shows whether the gesture has changed (docs/sessions.md).
 ONGOING_STRIDE_FRAMES = 18
-ONGOING_FRAMES = 40
-ONGOING_WINDOWS = 3
+ONGOING_FRAMES = 54
+ONGOING_WINDOWS = 2
 # An answer that is due in a silence longer than a pat's lift-off waits until the silence proves to be a pause
 # (then it is included: in HAART 90 % right, 70 without) or the end (then it is excluded: 80 %, 60 with). In
 # HAART 2 % of answers wait, by 0.2 s on average, nearly all of them for a stroke.
@@ -88,7 +87,8 @@ class Touch:
     due: the stages still to come, with the length at which each is answered. off_frames: since the last
     contact. answered_release: the length at which the touch was answered because the hand had left. outputs:
     the model's probabilities by length. state: the model's, after the touch's first `fed` frames. recent: the
-    model's outputs on the latest windows after the final answer.
+    model's outputs on the latest windows after the final answer. next_ongoing: the length from which the next
+    one is due.
     """
 
     number: int
@@ -97,6 +97,7 @@ class Touch:
     due: list[tuple[int, Stage]]
     degraded: bool
     meter: FeelMeter
+    next_ongoing: int
     length: int = 0
     off_frames: int = 0
     answered_release: int = 0
@@ -159,8 +160,7 @@ class Pipeline:
         if touch.due and 0 <= AFTER_FRAMES - touch.off_frames <= UNHURRIED_FRAMES:
             # The hand may have left, and the answer to that comes soon.
             return False
-        over = touch.length - self._final_frames
-        until_due = touch.due[0][0] - touch.length if touch.due else -over % ONGOING_STRIDE_FRAMES
+        until_due = (touch.due[0][0] if touch.due else touch.next_ongoing) - touch.length
         return until_due > UNHURRIED_FRAMES and not touch.waits_until_sure
 
     def on_frame(self, frame: Frame) -> None:
@@ -225,6 +225,7 @@ class Pipeline:
             due=list(zip(self._decision_settings.answer_at_frames, STAGES, strict=True)),
             degraded=any(earlier.bridged for earlier in so_far),
             meter=FeelMeter(self._tracker.baseline.counts, self._tracker.baseline.noise_floor, self._size_mm),
+            next_ongoing=self._final_frames + ONGOING_STRIDE_FRAMES,
         )
         # The caller adds the newest frame, like those that follow.
         for earlier in self._frames(frame.index + 1, len(so_far))[:-1]:
@@ -270,9 +271,8 @@ class Pipeline:
             touch.due = touch.due[len(overdue) :]
             due_length, stage = overdue[-1]
             self._answer_at(touch, stage, due_length, frame.host_s)
-        over = length - self._final_frames
-        is_due = over > 0 and over % ONGOING_STRIDE_FRAMES == 0
-        if is_due and self._decision_settings.ongoing:
+        if length >= touch.next_ongoing and self._decision_settings.ongoing:
+            touch.next_ongoing = length + ONGOING_STRIDE_FRAMES
             self._answer_ongoing(touch, frame.host_s)
 
     def _answer_release(self, touch: Touch, frame: GridFrame) -> None:
