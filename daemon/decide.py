@@ -17,8 +17,8 @@ FrameCount = Annotated[int, msgspec.Meta(ge=1, le=432)]
 EARLIEST_FRAMES = 9
 
 # A gesture has changed when the log odds between the told one and another have shifted by this much since the
-# last answer. With 6.5, 3 in 100 changes more are told, but on a body that breathes 1 in 100 touches more that do
-# not change is told again. Probabilities below the second constant are raised to it.
+# last answer. With 6.5, 3 in 100 changes more are told, but on a body that breathes 1 in 100 touches more
+# that do not change is told again. Probabilities below the second constant are raised to it.
 CHANGED_LOG_ODDS = 7.0
 LEAST_PROBABILITY = 0.01
 
@@ -31,8 +31,8 @@ SURE_FALLS = 0.2
 # An ended touch is told from this confidence on: nothing more comes that could make the answer surer. The
 # curve is in docs/decision.md.
 RELEASED_ABOVE = 0.4
-# "No touch" counts this much in the answer to an ended touch: the tracker has followed it from its first to its
-# last contact. Without this, one light touch in a hundred more is not named.
+# "No touch" counts this much in the answer to an ended touch: the tracker has followed it from its first to
+# its last contact. Without this, one light touch in a hundred more is not named.
 ENDED_NOTOUCH = 0.15
 
 
