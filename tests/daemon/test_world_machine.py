@@ -9,8 +9,10 @@ import tempfile
 import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -35,7 +37,7 @@ from touchd.daemon.bridges.mqtt import MqttBridge
 from touchd.daemon.bridges.rosbridge import RosbridgeBridge
 from touchd.daemon.bridges.settings import MqttSettings, RosbridgeSettings
 from touchd.daemon.config import JournalSettings, LiveSettings, SceneSettings, SensorSettings, Settings
-from touchd.daemon.events import Event
+from touchd.daemon.events import Event, SensorEvent
 from touchd.daemon.journal import Journal, JournalSink
 from touchd.daemon.live.server import LiveServer
 from touchd.daemon.log import LogWriter
@@ -140,6 +142,10 @@ class World(RuleBasedStateMachine):
         self.page = LiveServer(listening, LiveSettings(), {"pad": (settings, Scripted())})
         self.viewers: list[ExitStack] = []
         self.peers = {name: Peer() for name in PEERS}
+        # What the broker retains, and the pad's state, which should be there.
+        self.retained: dict[str, bytes] = {}
+        self.state = "down"
+        self.closing.enter_context(patch("touchd.daemon.bridges.mqtt.AGAIN_S", 0.5))
         broker, rosbridge = (peer.port for peer in self.peers.values())
         self.bridges: tuple[Bridge, ...] = (
             MqttBridge(MqttSettings(host="127.0.0.1", port=broker, pressure_hz=10.0), "pad"),
@@ -163,6 +169,8 @@ class World(RuleBasedStateMachine):
 
     def emit(self, event: Event) -> None:
         self.audit.see(event)
+        if isinstance(event, SensorEvent):
+            self.state = event.state
         assert getattr(event, "pad", "pad") == "pad"
         self.fanout.emit(event)
         self.log.handle(record("x" * 1000, line=self.sent))
@@ -235,7 +243,17 @@ class World(RuleBasedStateMachine):
 
     @rule(name=st.sampled_from(list(PEERS)), data=st.data())
     def peer_changes(self, name: str, data: st.DataObject) -> None:
-        self.peers[name].become(data.draw(st.sampled_from([None, *PEERS[name]])))
+        self.become(name, data.draw(st.sampled_from([None, *PEERS[name]])))
+
+    def become(self, name: str, attack: attackers.Attack | None) -> None:
+        if attack is attackers.acknowledge:
+            attack = partial(attackers.acknowledge, retained=self.retained)
+        self.peers[name].become(attack)
+
+    @rule()
+    def broker_forgets(self) -> None:
+        """Lose all retained messages, while connected or not, and say nothing."""
+        self.retained.clear()
 
     @rule()
     def journal_is_deleted(self) -> None:
@@ -274,8 +292,11 @@ class World(RuleBasedStateMachine):
                 viewer.close()
             # In the end each bridge finds a server that behaves.
             for name, peer in self.peers.items():
-                peer.become(PEERS[name][0])
+                peer.become(None)
+                self.become(name, PEERS[name][0])
             wait_for(lambda: all(bridge._peer_is_there.is_set() for bridge in self.bridges))
+            self.retained.clear()
+            wait_for(lambda: self.retained == {"touchd/pad/state": self.state.encode()})
             for sink in (*self.fanout.sinks, self.log):
                 sink.stop(2.0)
             for peer in self.peers.values():

@@ -113,8 +113,13 @@ def takes_nothing(client: socket.socket, goes_on: Callable[[], bool]) -> None:
         time.sleep(1.0)
 
 
-def acknowledge(client: socket.socket, goes_on: Callable[[], bool]) -> None:
-    """A broker of MQTT 3.1.1 that does what it should: greets, and acknowledges each message of QoS 1."""
+def acknowledge(
+    client: socket.socket, goes_on: Callable[[], bool], retained: dict[str, bytes] | None = None
+) -> None:
+    """A broker of MQTT 3.1.1 that does what it should: greets, and acknowledges each message of QoS 1.
+
+    retained: receives each retained message of QoS 1, by topic.
+    """
     if client.recv(CHUNK)[8] != 4:
         client.sendall(b"\x20\x02\x00\x01")
         return
@@ -137,6 +142,8 @@ def acknowledge(client: socket.socket, goes_on: Callable[[], bool]) -> None:
             kind, body, data = data[0], data[start : start + length], data[start + length :]
             if kind & 0xF6 == 0x32:
                 at = 2 + int.from_bytes(body[:2], "big")
+                if retained is not None and kind & 1:
+                    retained[body[2:at].decode()] = body[at + 2 :]
                 client.sendall(PUBACK + body[at : at + 2])
             elif kind == 0xC0:
                 client.sendall(b"\xd0\x00")
