@@ -204,6 +204,15 @@ def test_frames_may_wait_unless_an_answer_is_due() -> None:
     assert bench.pipeline.has_time
 
 
+def test_frames_do_not_wait_when_the_hand_may_just_have_left() -> None:
+    bench, since_lifted = Bench(), list[bool]()
+    bench.feel(palm(0.3))
+    for _ in range(18):
+        bench.feel(nothing(1 / 54))
+        since_lifted.append(bench.pipeline.has_time)
+    assert since_lifted == [True] * 4 + [False] * 9 + [True] * 5
+
+
 def test_pads_touched_at_once_are_answered_as_each_alone() -> None:
     model, alone, emitted = Scripted(), Bench(), list[Event]()
     pads = [
@@ -505,7 +514,8 @@ def test_a_pad_that_lost_its_supply_for_a_minute_is_answered_again() -> None:
     assert told(bench.feel(nothing(2.0), palm(3.5), nothing(2.0)))
 
 
-def test_a_revision_that_comes_too_late_is_not_told() -> None:
+@pytest.mark.parametrize(("late_s", "is_told"), [(2.9, True), (3.3, False), (5.0, False)])
+def test_a_revision_that_comes_too_late_is_not_told(late_s: float, is_told: bool) -> None:
     class Turning(Scripted):
         def answer(self) -> NDArray[np.float64]:
             turned = len(self.stepped[-1]) > EARLY[1]
@@ -514,11 +524,12 @@ def test_a_revision_that_comes_too_late_is_not_told() -> None:
     bench = Bench(Turning())
     assert told(bench.feel(palm(1.2))) == [("early", "stroke")]
     # The next frames were held up on their way.
-    bench.now_s += 5.0
+    bench.now_s += late_s
     late = bench.feel(palm(0.6))
-    assert (answered(late), told(late)) == ([REVISED], [])
+    assert answered(late) == [REVISED]
+    assert told(late) == ([("revised", "rub")] if is_told else [])
     # Its newest frame is the sixteenth of those that came together.
-    assert predictions(late)[0].age_ms == pytest.approx(5000 - 16 * 1000 / 54, abs=2)
+    assert predictions(late)[0].age_ms == pytest.approx(1000 * late_s - 16 * 1000 / 54, abs=2)
 
 
 def test_the_end_of_the_stream_ends_the_touch_once() -> None:
