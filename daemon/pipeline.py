@@ -37,7 +37,7 @@ from touchd.daemon.tracker.tracker import (
 )
 from touchd.drivers.errors import one_line
 from touchd.drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, NO_TOUCH, Frame, SensorState
-from touchd.drivers.pad.grid import MAX_GAP_S, GridFrame, Ring
+from touchd.drivers.pad.grid import GridFrame, Ring
 from touchd.model.classifier import Classifier, ModelState, as_known
 
 STAGES: tuple[Stage, Stage, Stage] = ("early", "revised", "final")
@@ -237,11 +237,11 @@ class Pipeline:
         """Give the model the touch's new frames: every few, at marks, and each one until it is sure."""
         length = touch.length
         viewers = self._viewers()
-        until_mark = touch.due[0][0] - length if touch.due else -1
         is_shown = bool(viewers) and length % SHOWN_STRIDE_FRAMES == 0
         # Feed the frame before a mark too, so that only one frame is left at the mark.
+        is_at_mark = bool(touch.due) and touch.due[0][0] - length in (0, 1)
         has_left = touch.off_frames == AFTER_FRAMES
-        is_due = until_mark in (0, 1) or length - touch.fed >= FEED_FRAMES or has_left
+        is_due = is_at_mark or length - touch.fed >= FEED_FRAMES or has_left
         if length > self._final_frames or not (is_due or is_shown or touch.waits_until_sure):
             return
         window = self._window(touch.first_index + length, length - touch.fed)
@@ -383,6 +383,5 @@ def _as_sent(frame: GridFrame) -> int:
 
 
 def _history_frames(settings: PipelineSettings) -> int:
-    """Return how many frames to keep: the longest window, and those from a touch's last frame to its end."""
-    spare_frames = round((settings.touch.quiet_s + MAX_GAP_S + 2) * FRAME_RATE_HZ)
-    return settings.decision.answer_at_frames[-1] + SETTLED_FRAMES + spare_frames
+    """Return how many frames to keep: the longest window, and twice what settles before a touch ends."""
+    return settings.decision.answer_at_frames[-1] + 2 * SETTLED_FRAMES

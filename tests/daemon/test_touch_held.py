@@ -162,10 +162,28 @@ def test_beside_an_object_that_became_rest_light_touches_are_detected(pad: Track
     box = palm(14.0, counts=200.0, trembling=False)
     _, release = pad.feel(box)
     assert release.reason == "settled"
-    beside = box[:27].copy()
+    began, beside = pad.index, box[:27].copy()
     beside[:, 5:8, 0:3] += palm(0.5, 7.0)[:, 2:5, 3:6]
-    began = pad.index
     assert pad.feel(beside) == [Onset(began)]
+
+
+def test_a_slow_press_on_a_pad_that_rests_high_is_a_touch() -> None:
+    pad = TrackedPad()
+    pad.rest += 400
+    pad.feel(2.0)
+    assert isinstance(pad.feel(rising(8 * 54, 150.0))[0], Onset)
+
+
+def test_after_a_touch_that_ended_on_new_rest_the_network_still_knows_the_pad(
+    seen: TrackedPad, network: Network
+) -> None:
+    network.no_touch = 0.02
+    seen.feel(palm(2.0, counts=100.0))
+    network.no_touch = 0.9
+    fold = palm(4.0, counts=6.0, trembling=False)
+    assert [type(change) for change in seen.feel(fold[:108])] == [Release]
+    network.no_touch = 0.02
+    assert [type(change) for change in seen.feel(fold[:108] + np.float32(0.5))] == [Onset]
 
 
 @pytest.mark.parametrize("gap_ms", [400.0, 5000.0])

@@ -252,9 +252,9 @@ def test_frames_that_were_held_up_do_not_discredit_a_clock() -> None:
 
 
 def slow_for_two_thirds(second: float) -> float:
-    """Half a second of arrival at 1.43 times the pad's rate takes turns with a second at 0.77 times."""
-    turns, rest = divmod(second, 1.484)
-    return 1.5 * turns + (0.7 * rest if rest < 0.714 else 0.5 + 1.3 * (rest - 0.714))
+    """Half a second of arrival at 1.5 times the pad's rate, then a second at three quarters of it."""
+    turns, rest = divmod(second, 1.51)
+    return 1.5 * turns + (0.65 * rest if rest < 0.769 else 0.5 + 1.35 * (rest - 0.769))
 
 
 @pytest.mark.parametrize(
