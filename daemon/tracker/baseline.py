@@ -60,17 +60,17 @@ class Baseline:
         """Move slowly towards (64,) counts of an untouched pad."""
         step = (pressure - self.counts) / TRACK_FRAMES
         self.counts += np.minimum(np.maximum(step, -MOST_TRACKED), MOST_TRACKED)
-        self._deviation *= 1 - 1 / TRACK_FRAMES
-        self._deviation += np.abs(step)
-        self._set_noise_floor()
         if self._before is not None:
-            self._steps += (np.abs(pressure - self._before) - self._steps) / TRACK_FRAMES
+            # From frame to frame: a rest that shifts, or a slow press, is not noise.
+            moved = np.abs(pressure - self._before)
+            self._steps += (moved - self._steps) / TRACK_FRAMES
+            self._deviation += (STEP_NOISE * moved - self._deviation) / TRACK_FRAMES
+        self._set_noise_floor()
         self._before = pressure.copy()
 
     @property
     def is_disturbed(self) -> bool:
         """Whether the pad is so noisy, not counting its sway, that light touches go unnoticed."""
-        # From frame to frame: a rest that has shifted is not noise.
         noise_floor = np.maximum(self._steps * (STEP_NOISE * NOISE_DEVIATIONS), MIN_NOISE_FLOOR)
         return float(noise_floor.mean()) >= DISTURBED_FLOOR
 

@@ -17,8 +17,9 @@ Question = Callable[[Window, Window], float]
 # The network is asked three times a second; three answers together begin or end a touch.
 ASK_FRAMES = 18
 ANSWERS = 3
-# Mean p_no_touch below which they begin a touch, and above which they end one.
-TOUCH, NONE = 0.15, 0.5
+# Mean p_no_touch below which they begin a touch, and above which they end one. At 0.15, a jolt of the
+# breathing robot begins one.
+TOUCH, NONE = 0.12, 0.5
 # A single answer below this keeps a touch from ending.
 DOUBT = 0.2
 # On a pad unlike those it learned from, as under mains hum, p_no_touch is lower at rest. The limits are then
@@ -26,7 +27,7 @@ DOUBT = 0.2
 REST_SHARE = 0.6
 KNOWN_REST = 0.2
 # Above this, it knows the pad as well as HAART's and the robot's, whose p_no_touch at rest is 0.8 to 0.9.
-WELL_KNOWN_REST = 0.75
+WELL_KNOWN_REST = 0.7
 # Shares by which p_no_touch at rest follows higher and lower answers: more slowly down, since they may come
 # from an unnoticed touch.
 RISES, FALLS = 0.1, 0.05

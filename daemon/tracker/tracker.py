@@ -66,9 +66,9 @@ FIRM_RESTLESS = 3.0
 # A baseline shift is over in two frames; a hand goes on moving, by this many counts summed over the pad.
 STEP_FRAMES = 2
 MOVED_COUNTS = 6.0
-# Four times that movement within nine frames begins a touch; later it may be a body that breathes. Without
+# 4.5 times that movement within nine frames begins a touch; later it may be a body that breathes. Without
 # this rule, 1 % more touches of the robot are missed.
-SURE_MOVEMENT = 4.0
+SURE_MOVEMENT = 4.5
 SURE_FRAMES = 9
 # Otherwise the network decides: about moving contact six times a second, from a third of a second on; about
 # still contact once, after a second. Below this p_no_touch it is a touch. With 0.3 for still contact, two
@@ -90,8 +90,9 @@ BACKDATE_COUNTS = 1.0
 # this share of the touch's highest half second, less half a light hand. Without this rule, a firm pad's
 # touches are merged over six times as many pauses.
 LOW_SHARE = 0.5
-# It rises if it exceeds its lowest by this share of the touch's highest half second, and by more than noise.
-RISE_SHARE, RISE_COUNTS = 0.1, 6.0
+# It rises if it exceeds its lowest by this share of the same level, and by more than noise. With 0.1 and 6,
+# two more pauses of the firm pad at 12 Hz are merged; one touch fewer of the soft pad is split.
+RISE_SHARE, RISE_COUNTS = 0.2, 10.0
 # What a light hand makes. The network is asked about quiet frames with less, on a pad that it knows well
 # about others too.
 LIGHT_COUNTS = 80.0
@@ -151,13 +152,13 @@ class Quiet:
 
     frames: number of quiet frames, without those in maybe. peak: the highest contact in them. shifted_frames:
     for how many frames the pad has read less than at rest, or evenly more. unsteady_index: the last such
-    frame, or the frame of the last calibration.
+    frame, or the frame of the last calibration or release.
     """
 
+    unsteady_index: int
     frames: int = 0
     peak: float = 0.0
     shifted_frames: int = 0
-    unsteady_index: int = -SECOND_FRAMES
 
 
 @dataclass(slots=True)
@@ -191,13 +192,14 @@ class Brief:
 class Touched:
     """An ongoing touch.
 
-    first, last: the first frame, and the last with contact. highest_level: the largest contact of a half
-    second. lowest_level: the least contact since `last`. still_frames: for how many frames the pad has kept
-    still.
+    first, last: the first frame, and the last with contact. next_ask: the frame at which the network, which
+    saw a hand without contact, is asked again. highest_level: the largest contact of a half second.
+    lowest_level: the least contact since `last`. still_frames: for how many frames the pad has kept still.
     """
 
     first: int
     last: int
+    next_ask: int = 0
     highest_level: float = 0.0
     lowest_level: float = math.inf
     still_frames: int = 0
@@ -237,7 +239,7 @@ class TouchTracker:
             case Quiet():
                 return True
             case Touched() as touch:
-                return self._index - touch.last + frames < self._quiet_frames
+                return self._index - self._last_seen(touch) + frames < self._quiet_frames
         return False
 
     @property
@@ -252,7 +254,7 @@ class TouchTracker:
         state = self._state
         if not isinstance(state, Touched) or state.last == self._index:
             return self._index
-        return max(state.first, state.last - SMOOTH_FRAMES // 2)
+        return max(state.first, self._last_seen(state) - SMOOTH_FRAMES // 2)
 
     @property
     def loose_lines(self) -> tuple[str, ...]:
@@ -295,7 +297,7 @@ class TouchTracker:
         if not 0 < frame.sensor_ms - self._sensor_ms <= CHANGED_AFTER_MS:
             self._forget_rest()
         elif not isinstance(self._state, MeasuringRest):
-            self._state = Quiet()
+            self._state = Quiet(self._index)
         return release
 
     def _forget_rest(self) -> None:
@@ -307,7 +309,7 @@ class TouchTracker:
 
     def _measure_rest(self) -> None:
         if len(self._recent) >= CALIBRATION_FRAMES:
-            self._calibrate(Quiet())
+            self._calibrate(Quiet(self._index))
 
     def _calibrate(self, quiet: Quiet, frames: int = CALIBRATION_FRAMES) -> None:
         """Take the last frames as rest; the state becomes quiet."""
@@ -353,7 +355,9 @@ class TouchTracker:
             self._calibrate(quiet)
         elif self._is_time_to_check and self._index - quiet.unsteady_index >= SECOND_FRAMES:
             older, newer = self._recent.halves()
-            self.baseline.track_sway(np.abs(newer - older))
+            # What only rises may be a hand; a body that breathes falls as often.
+            if newer.sum() <= older.sum():
+                self.baseline.track_sway(np.abs(newer - older))
 
     def _ask_at_rest(self, quiet: Quiet) -> Onset | None:
         """Ask the network about a pad without contact: in some touches no taxel is above the noise."""
@@ -445,10 +449,10 @@ class TouchTracker:
         is_contact = self._is_contact(touch, level)
         if is_contact:
             touch.last, touch.lowest_level = self._index, level
-        elif quiet_frames >= self._quiet_frames:
+        elif self._index - self._last_seen(touch) >= self._quiet_frames:
             if not self._sees_light_touch(touch, level, quiet_frames):
                 return self._end_at_residue(touch, level)
-            touch.last = self._index - self._quiet_frames + ASK_FRAMES
+            touch.next_ask = self._index + ASK_FRAMES
         elif self._quiet_frames > SECOND_FRAMES:
             # Wait for a `quiet_s` that is longer than the second checked below.
             touch.still_frames = 0
@@ -467,9 +471,14 @@ class TouchTracker:
             touch.highest_level = max(touch.highest_level, self._level(newer))
         touch.lowest_level = min(touch.lowest_level, level)
         is_judged = touch.highest_level >= HUG_COUNTS or not self._network.knows_well
-        is_low = is_judged and level < LOW_SHARE * (touch.highest_level - LIGHT_COUNTS / 2)
-        is_rising = level > touch.lowest_level + max(RISE_COUNTS, RISE_SHARE * touch.highest_level)
+        size = touch.highest_level - LIGHT_COUNTS / 2
+        is_low = is_judged and level < LOW_SHARE * size
+        is_rising = level > touch.lowest_level + max(RISE_COUNTS, RISE_SHARE * size)
         return level >= self._quiet_counts and (is_rising or not is_low)
+
+    def _last_seen(self, touch: Touched) -> int:
+        """Return the last frame with contact, or a later one if the network saw a hand since."""
+        return max(touch.last, touch.next_ask - self._quiet_frames)
 
     def _level(self, pressure: Taxels) -> float:
         return float(self._above(pressure - self.baseline.counts).sum())
@@ -507,14 +516,15 @@ class TouchTracker:
         if is_left or self._network.ends_touch:
             over_frames = max(touch.still_frames, SECOND_FRAMES if self._network.ends_touch else 0)
             since = self._index - over_frames - SECOND_FRAMES // 2
-            touch.last = max(touch.first, min(touch.last, since))
+            touch.last, touch.next_ask = max(touch.first, min(touch.last, since)), 0
             return self._end_at_new_rest(touch, "released")
         return self._end_at_new_rest(touch, "settled") if touch.still_frames >= SETTLED_FRAMES else None
 
     def _is_still(self, change: Taxels, spread: Taxels, rise: Taxels) -> bool:
         allowed = np.maximum(STILL_SWAYS * self.baseline.sway, STILL_SPREADS * spread)
+        least = np.maximum(LOAD_NOISE * rise, STILL_COUNTS)
         noise = np.maximum(LOAD_NOISE * rise, MAX_SPREAD_COUNTS)
-        return bool((change <= np.maximum(allowed, STILL_COUNTS)).all() and (spread <= noise).all())
+        return bool((change <= np.maximum(allowed, least)).all() and (spread <= noise).all())
 
     def _end_at_residue(self, touch: Touched, level: float) -> Release:
         """End the touch; what it left above the baseline is the new rest."""
@@ -534,7 +544,7 @@ class TouchTracker:
             # The network takes the object there for a hand, and would begin the touch again.
             self._network.forget_rest()
         release = self._end(touch, reason)
-        self._calibrate(Quiet(), SECOND_FRAMES)
+        self._calibrate(Quiet(self._index), SECOND_FRAMES)
         older, newer = self._recent.halves()
         self.baseline.track_sway(np.abs(newer - older))
         frames = self._recent.last(SECOND_FRAMES)
@@ -546,7 +556,7 @@ class TouchTracker:
     def _end(self, touch: Touched, reason: EndReason) -> Release:
         release = Release(touch.first, self.last_contact_index, reason)
         self._network.forget_answers()
-        self._state = Quiet()
+        self._state = Quiet(self._index)
         return release
 
     # What the pad shows.

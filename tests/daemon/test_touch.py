@@ -239,6 +239,18 @@ def test_light_touches_after_a_slow_hug_are_detected(pad: TrackedPad) -> None:
     pad.touched(palm(1.0), 2.0)
 
 
+def test_a_leaving_hand_is_not_learned_as_noise(pad: TrackedPad) -> None:
+    pad.touched(palm(1.0, counts=200.0), 3.0)
+    assert pad.tracker.baseline.noise_floor.mean() < 1.8
+
+
+def test_a_slow_wide_press_is_not_learned_as_noise(pad: TrackedPad) -> None:
+    away = np.hypot(*np.mgrid[-3.5:4, -3.5:4]) / 3.5
+    rising = np.linspace(0, 15, 108, dtype=np.float32)[:, None, None]
+    pad.feel(rising * np.exp(-0.5 * away**2).astype(np.float32))
+    assert pad.tracker.baseline.noise_floor.mean() < 1.8
+
+
 def test_presses_that_shift_the_rest_stay_separate(pad: TrackedPad) -> None:
     for press in range(8):
         pad.touched(fold(1.5, 5.0 * press) + pat(1.5, counts=120.0), fold(3.0, 5.0 * (press + 1)))
