@@ -72,7 +72,7 @@ def main() -> None:
     parser.add_argument("--tool", type=Path, required=True, help="the virtual environment with cosmic-ray")
     parser.add_argument("--tests", default="tests", help="which tests to run against each mutant")
     parser.add_argument("--sample", type=int, default=0, help="how many mutants of a file; 0: all")
-    parser.add_argument("--seconds", type=float, default=5.0, help="of processor for a mutant's tests")
+    parser.add_argument("--seconds", type=float, default=4.0, help="of processor for a mutant's tests")
     parser.add_argument("files", nargs="+")
     given = parser.parse_args()
     given.tool = given.tool.absolute()
