@@ -16,6 +16,7 @@ from rigs.scripted_model import LABELS, Scripted
 
 from touchd.daemon.decide import DecisionSettings
 from touchd.daemon.events import Event, LivePrediction, Prediction, SensorEvent, TouchBegan, TouchEnded
+from touchd.daemon.monitor import PadMonitor
 from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.daemon.playback.stream import play
 from touchd.daemon.tracker.tracker import TouchSettings
@@ -383,6 +384,34 @@ def test_a_loose_wire_is_named_once_in_the_log(caplog: pytest.LogCaptureFixture)
     assert bench.feel(nothing(2.0), jumping) == []
     (said,) = (record.getMessage() for record in caplog.records)
     assert said.startswith("the values of row 3 jump while nobody touches the pad: a loose wire?")
+
+
+class CountingMonitor(PadMonitor):
+    """Counts how often it is told of rest."""
+
+    rests = 0
+
+    def on_rest(self, *, is_noisy: bool, loose_lines: Sequence[str]) -> None:
+        self.rests += 1
+
+
+def test_rest_is_looked_at_nine_times_a_second_while_nothing_touches() -> None:
+    monitor, rests, emitted = CountingMonitor(), list[int](), list[Event]()
+    pipeline = Pipeline(PipelineSettings(), Scripted(), emitted.append, STOPPED, monitor=monitor)
+    scans = np.concatenate([nothing(3.0), nothing(2.0), palm(2.0)])
+    for number, counts in enumerate(MadePad().counts(scans)):
+        pipeline.on_frame(Frame(number, round(number * 1000 / 54), 99.998, counts))
+        rests.append(monitor.rests)
+    assert rests[54 * 5 - 1] - rests[54 * 3 - 1] == 18
+    # A hand is seen a frame late.
+    assert rests[-1] == rests[54 * 5]
+
+
+def test_a_state_of_the_pad_other_than_down_ends_no_touch() -> None:
+    bench = Bench()
+    bench.feel(palm(0.5))
+    bench.pipeline.on_sensor_state(SensorState("up", "frames arrive"))
+    assert ended(bench.feel(palm(0.5))) == []
 
 
 def test_the_log_names_a_pad_among_several(caplog: pytest.LogCaptureFixture) -> None:
