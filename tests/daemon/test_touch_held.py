@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from rigs.made_pad import Scans, nothing, palm
 from rigs.tracked_pad import TrackedPad
 
-from touchd.daemon.tracker.tracker import Onset, Release, TouchSettings
+from touchd.daemon.tracker.tracker import Onset, Release, TouchSettings, beyond_one_wire, drift_of
 
 
 class Network:
@@ -273,3 +273,28 @@ def test_a_touch_that_ends_by_stillness_is_dated_soon_after_the_hand(
     left = seen.index
     (release,) = seen.feel(palm(3.0, counts=13.0, trembling=False))
     assert 0 <= release.last_index - left <= 27
+
+
+@pytest.mark.parametrize(("risen", "drift"), [(31, 0.0), (32, 5.0), (64, 5.0)])
+def test_drift_is_what_half_of_the_taxels_share(risen: int, drift: float) -> None:
+    rise = np.zeros(64, np.float32)
+    rise[:risen] = 5.0
+    assert drift_of(rise) == drift
+    assert drift_of(-rise) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("rows", "columns", "contact"),
+    [
+        (slice(2, 3), slice(0, 8), 7.0),
+        (slice(0, 8), slice(5, 6), 7.0),
+        (slice(2, 3), slice(0, 2), 0.0),
+        (slice(2, 4), slice(0, 8), 39.0),
+        (slice(2, 4), slice(3, 5), 8.0),
+    ],
+    ids=["a row", "a column", "part of a row", "two rows", "a finger"],
+)
+def test_what_a_loose_wire_may_lift_is_no_contact(rows: slice, columns: slice, contact: float) -> None:
+    above = np.zeros((8, 8), np.float32)
+    above[rows, columns] = 4.0
+    assert beyond_one_wire(above.ravel()) == contact
