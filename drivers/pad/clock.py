@@ -120,7 +120,8 @@ class FrameClock:
         self._window = _Window(stamp, host_s, stamp, host_s)
         # Until it is known that a number stands still, all frames are refused as duplicates.
         stands_still = not self._is_chosen and window.standing > STANDING_SHARE * window.frames
-        if len(self._windows) < (self._windows.maxlen or 0) and not stands_still:
+        needed = LATER_WINDOWS if self._is_chosen else FIRST_WINDOWS
+        if len(self._windows) < needed and not stands_still:
             return
         unit_ms, note = self._chosen()
         if note is None:
@@ -218,9 +219,9 @@ class ClockCheck:
         if is_last or any(now_ms == held.sensor_ms for held in self._held):
             self._counts.duplicates += 1
             return []
-        before = next((held for held in reversed(self._held) if _steps_on(held.sensor_ms, now_ms)), None)
-        if before is not None:
-            self._held = [held for held in self._held if held is not before]
+        places = [place for place, held in enumerate(self._held) if _steps_on(held.sensor_ms, now_ms)]
+        if places:
+            before = self._held.pop(places[-1])
             self._refuse_held()
             self._follow(before)
             return self._deliver([before, reading])
@@ -275,7 +276,7 @@ class ArrivalClock:
     def __init__(self, rate_hz: float) -> None:
         self._stated_s = self._period_s = 1 / rate_hz
         self._expected_s: float | None = None
-        self._last_ms = -1
+        self._last_ms = 0
 
     def reset(self) -> None:
         """Restart with the next frame."""
@@ -285,10 +286,10 @@ class ArrivalClock:
     def stamp_ms(self, host_s: float) -> int:
         """Return the stamp (uint32 ms) of a frame that arrived at `host_s`; it falls only after a flood."""
         expected_s = self._expected_s
-        off_s = 0.0 if expected_s is None else host_s - expected_s
-        if expected_s is None or abs(off_s) > LOST_S:
+        if expected_s is None or abs(host_s - expected_s) > LOST_S:
             expected_s = host_s
         else:
+            off_s = host_s - expected_s
             expected_s += PHASE_GAIN * off_s
             period_s = self._period_s + PERIOD_GAIN * off_s
             self._period_s = min(max(period_s, self._stated_s / 4), 4 * self._stated_s)

@@ -171,7 +171,7 @@ def test_a_slow_press_on_a_pad_that_rests_high_is_a_touch() -> None:
     pad = TrackedPad()
     pad.rest += 400
     pad.feel(2.0)
-    assert isinstance(pad.feel(rising(8 * 54, 150.0))[0], Onset)
+    assert isinstance(pad.feel(rising(8 * 54, 30.0))[0], Onset)
 
 
 def test_after_a_touch_that_ended_on_new_rest_the_network_still_knows_the_pad(
