@@ -74,18 +74,7 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str]) -> int:
     """Write the file and say what next; returns 0 when pad and robot answered, else 1."""
     options = parser().parse_args(arguments)
-    if options.file.exists():
-        raise ConfigError(f"{options.file} is there already; give another name, or move it away")
-    # Check this before somebody presses the pad for nothing.
-    if not os.access(options.file.absolute().parent, os.W_OK | os.X_OK):
-        raise ConfigError(
-            f"{options.file}: cannot be written (no such folder, or no permission); give another path"
-        )
-    if options.robot not in (None, "none"):
-        robot_urls(options.robot)
-    if options.port:
-        check_pad(Settings(sensor=SensorSettings(port=options.port)))
-    file = shlex.quote(str(options.file))
+    _check(options)
     console = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
     ports = [options.port] if options.port else _ports()
     bauds = [options.baud] if options.baud else list(USUAL_BAUDS)
@@ -100,28 +89,46 @@ def main(arguments: Sequence[str]) -> int:
     port, baud, described = found or unseen
     # A port that the user typed is written as typed.
     named = LastingName(port, "as given") if options.port or found is None else lasting_name(port)
-    port = named.port
     robot = _find_robot(console, _ask_robot(console) if options.robot is None else options.robot)
-    described_as = _as_settings(described or PRESETS[FABRIC])
-    text = f"sensor:\n  port: {_quoted(port)}\n  baud: {baud}\n{described_as}"
-    text += f"robot: {f'{{url: {_quoted(robot)}}}' if robot else 'null'}\njournal: {{}}\n"
-    with (
-        os_errors_as(ConfigError, f"{options.file}: cannot be written", "give another path"),
-        whole_file(options.file, replace=False) as new,
-    ):
-        new.write_text(text, encoding="utf-8")
-    settings = load(options.file)
+    _write(options.file, named.port, baud, described or PRESETS[FABRIC], robot)
+    file = shlex.quote(str(options.file))
     later = f"none found, so {file} describes a fabric pad; for another, plug it in, delete {file} and repeat"
-    console.print(f"pad: {described}, at {port} ({named.why})" if described else f"pad: {later}")
+    console.print(f"pad: {described}, at {named.port} ({named.why})" if described else f"pad: {later}")
     is_well = described is not None
     if robot:
-        check = check_robot(settings)
+        check = check_robot(load(options.file))
         console.print(f"robot: {check.found}{check.advice and f'; {check.advice}'}")
         is_well &= check.verdict == "ok"
     console.print(
         f"wrote {file}; next: {program_name()} doctor -c {file}, then {program_name()} run -c {file}"
     )
     return 0 if is_well else 1
+
+
+def _check(options: argparse.Namespace) -> None:
+    """Refuse what cannot work, before somebody presses the pad for nothing."""
+    if options.file.exists():
+        raise ConfigError(f"{options.file} is there already; give another name, or move it away")
+    if not os.access(options.file.absolute().parent, os.W_OK | os.X_OK):
+        raise ConfigError(
+            f"{options.file}: cannot be written (no such folder, or no permission); give another path"
+        )
+    if options.robot not in (None, "none"):
+        robot_urls(options.robot)
+    if options.port:
+        check_pad(Settings(sensor=SensorSettings(port=options.port)))
+
+
+def _write(file: Path, port: str, baud: int, described: PadFormat, robot: str | None) -> None:
+    """Write the configuration, and check that it can be loaded."""
+    text = f"sensor:\n  port: {_quoted(port)}\n  baud: {baud}\n{_as_settings(described)}"
+    text += f"robot: {f'{{url: {_quoted(robot)}}}' if robot else 'null'}\njournal: {{}}\n"
+    with (
+        os_errors_as(ConfigError, f"{file}: cannot be written", "give another path"),
+        whole_file(file, replace=False) as new,
+    ):
+        new.write_text(text, encoding="utf-8")
+    load(file)
 
 
 def _as_settings(described: PadFormat) -> str:

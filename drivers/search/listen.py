@@ -12,7 +12,7 @@ from touchd.drivers.pad.format import PRESETS
 from touchd.drivers.pad.port import Line, read_waiting
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.pad.text import ended_at, lines_in, numbers_in
-from touchd.drivers.search.binary import frames_in
+from touchd.drivers.search.binary import tables
 
 # The usual baud rates, the likeliest first; 512000 is that of the lab's Mega build.
 USUAL_BAUDS = (
@@ -21,11 +21,12 @@ USUAL_BAUDS = (
 )
 # Opening the port restarts an Arduino, whose boot loader takes two seconds.
 FIRST_BYTE_S = 3.0
-SAMPLE_S, LONGEST_SAMPLE_S = 0.4, 1.5
-SAMPLE_BYTES = 3000
+# A second shows the eight frames of the slowest pad.
+SAMPLE_S = 1.0
+# Single bits occur in more than half of random bytes; line noise makes some at a rate that is too high, too.
 FEW_BYTES = 0.01
 SURE = 3.0
-# Most bytes that are kept, the latest ones; more than any pad sends in a second.
+# Most bytes that are kept, the latest ones: eight seconds of the largest preset take a fifth of them.
 MOST_BYTES = 1_000_000
 
 
@@ -39,20 +40,16 @@ class Chunk(NamedTuple):
 def listen(
     opened: Line, seconds: float, enough: Callable[[list[Chunk]], bool] = lambda chunks: False
 ) -> list[Chunk]:
-    """Return what arrives within `seconds`, the latest megabyte; raises SensorError when the port goes away.
+    """Return what arrives within `seconds`; raises SensorError when the port goes away.
 
     enough: called after each chunk; ends listening when true.
     """
     silent = parser_of(PRESETS["fabric-grid"])
     chunks: list[Chunk] = []
-    size = 0
     until_s = time.monotonic() + seconds
     while time.monotonic() < until_s:
         if data := read_waiting(opened, silent):
             chunks.append(Chunk(data, time.monotonic()))
-            size += len(data)
-            while size > MOST_BYTES:
-                size -= len(chunks.pop(0).data)
         if enough(chunks):
             break
     return chunks
@@ -70,11 +67,13 @@ def likeliest_baud(opened: Line, bauds: Sequence[int], say: Callable[[int], None
         with suppress(OSError, ValueError):
             opened.baudrate = baud
             opened.reset_input_buffer()
-            data = _sample(opened, first_byte_s)
+            chunks = listen(opened, first_byte_s, bool)
+            chunks += listen(opened, SAMPLE_S) if chunks else []
+            data = b"".join(chunk.data for chunk in chunks)
             # If one rate yields no bytes, none will.
             if not data and not likely:
                 return None
-            first_byte_s = LONGEST_SAMPLE_S
+            first_byte_s = SAMPLE_S
             likely[baud] = likelihood(data)
             if likely[baud] >= SURE:
                 break
@@ -91,7 +90,7 @@ def likelihood(data: bytes) -> float:
     if is_text(data):
         lines = list(lines_in(data[: ended_at(data)]))
         return SURE if any(numbers_in(line)[0] for line in lines) else 2.5
-    return 2.0 * (frames_in(data) is not None) + has_single_bits(data) * 0.5
+    return 2.0 * (next(tables(data), None) is not None) + has_single_bits(data) * 0.5
 
 
 def has_single_bits(data: bytes) -> bool:
@@ -99,16 +98,3 @@ def has_single_bits(data: bytes) -> bool:
     bits = np.frombuffer(data, dtype=np.uint8)
     edges = (bits ^ bits >> 1) & 0x7F
     return bool(len(data) and np.mean(edges & edges >> 1 > 0) > FEW_BYTES)
-
-
-def _sample(opened: Line, first_byte_s: float) -> bytes:
-    """Return the bytes of a moment: enough to judge them, if the pad sends that many."""
-    chunks = listen(opened, first_byte_s, lambda chunks: bool(chunks))
-    begun_s = time.monotonic()
-
-    def is_enough(more: list[Chunk]) -> bool:
-        size = sum(len(chunk.data) for chunk in more)
-        return time.monotonic() - begun_s > SAMPLE_S and size > SAMPLE_BYTES
-
-    chunks += listen(opened, LONGEST_SAMPLE_S, is_enough) if chunks else []
-    return b"".join(chunk.data for chunk in chunks)

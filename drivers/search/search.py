@@ -5,7 +5,7 @@ together most is proposed if a hand presses the pad and touchd's own parser read
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import msgspec
@@ -16,20 +16,15 @@ from touchd.drivers.pad.arrived import has_text, is_text, looks_like
 from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.search import binary, text
 from touchd.drivers.search.listen import MOST_BYTES, Chunk
-from touchd.drivers.search.neighbours import Reading, is_stride, movement, thinned, together
-from touchd.drivers.search.proof import is_mixed, objection, scaled, unexplained, unscaled
-from touchd.drivers.search.survey import Grid, Survey, survey
+from touchd.drivers.search.neighbours import Placement, is_turned, movement, thinned, together
+from touchd.drivers.search.proof import objection, scaled, unexplained, unscaled
+from touchd.drivers.search.survey import Grid, Survey, reads, survey
 
-# A placement may be right if its neighbours move together by this share of the best one's, which a checksum
-# among the cells may raise. Of these, take one that is hardly rougher than the smoothest. Chosen on 240
-# generated formats.
-NEAR, SMOOTH = 0.8, 1.03
-NO_FRAMES_IN_TEXT = "no frames: print each in a line, or a row a line and an empty line after each frame"
+# How much roughness counts against moving together, as an exponent. The wrong byte order is rougher by up to
+# 256, a checksum among the cells by a third; one slow number of a frame makes them smoother by a hundredth.
+ROUGHNESS = 0.1
+PRINT_FRAMES = "print each frame in a line, or a row a line and an empty line after each frame"
 NO_FRAMES_IN_BYTES = "no frames of one length: a wrong baud rate, or no header? send a header of two bytes"
-CHANGING_WORDS = "the letters in its lines change (hexadecimal? two pads?): print one pad's numbers"
-MIXED = (
-    "numbers among or beside its cells are others: print the cells of one pad, and what changes after them"
-)
 
 
 @dataclass(frozen=True)
@@ -87,65 +82,62 @@ def arrived_in(chunks: Sequence[Chunk]) -> Arrived:
 def search(chunks: Sequence[Chunk], grid: Grid | None) -> Finding:
     """Search for the description of a pad in its bytes. grid: its rows and columns, if somebody told them."""
     arrived = arrived_in(chunks)
-    data, lines = arrived.data, arrived.lines
+    data = arrived.data
     if not data:
         return Finding(None, "is it the pad's port, and does the pad run?", "nothing arrives")
     saw = f"{len(data) / arrived.seconds:.0f} bytes/s of {looks_like(data)}"
     seen = arrived.survey
     grid = grid or (seen.grid if seen else None)
-    fitting: list[Reading] = []
-    if grid:
-        fitting = list(binary.readings(data, *grid) if lines is None else text.readings(lines, *grid))
-    if not fitting:
-        return Finding(None, _why_none_fits(arrived, seen, grid), saw)
-    best = _best([reading for reading in fitting if not is_mixed(reading)])
-    return Finding(None, MIXED, saw, may_come=True) if best is None else _proven(best, arrived, saw)
+    best = _best(_placements(arrived, grid)) if grid else None
+    return (
+        Finding(None, _why_none_fits(arrived, seen, grid), saw)
+        if best is None
+        else _proven(best, arrived, saw)
+    )
+
+
+def _placements(arrived: Arrived, grid: Grid) -> Iterator[Placement]:
+    """Yield where the cells of a grid may lie in the frames."""
+    if arrived.lines is None:
+        return binary.placements(arrived.data, *grid)
+    return text.placements(arrived.lines, *grid)
+
+
+def _best(placements: Iterable[Placement]) -> Placement | None:
+    """Return the placement in which neighbours move together most, smoothly."""
+    rated = (_rated(each) for each in placements if not binary.counting(each.values).any())
+    return max(rated, key=lambda each: each[1:], default=(None,))[0]
+
+
+def _rated(placed: Placement) -> tuple[Placement, float, float]:
+    """Return a placement, turned if need be, and how much its neighbours move together, for its roughness.
+
+    If both fit as well, as around a border that never changes, take the cells that rest at the same value.
+    """
+    moved = movement(placed.values)
+    if is_turned(moved, placed.cells):
+        rows, columns = placed.described.columns, placed.described.rows
+        described = msgspec.structs.replace(placed.described, rows=rows, columns=columns)
+        placed = replace(placed, described=described)
+    steps = np.abs(np.diff(thinned(placed.values), axis=0)).mean(axis=0)
+    roughness = max(float(steps.sum()) / max(int((steps > 0).sum()), 1), 1e-9)
+    score = together(moved, placed.cells) / roughness**ROUGHNESS
+    return placed, round(score, 4), -float(np.ptp(np.median(placed.values, axis=0)))
 
 
 def _why_none_fits(arrived: Arrived, seen: Survey | None, grid: Grid | None) -> str:
     if not arrived.data.strip() or has_text(arrived.data):
         return "print lines of numbers and nothing else"
     if seen is None:
-        return NO_FRAMES_IN_BYTES if arrived.lines is None else NO_FRAMES_IN_TEXT
-    printed = list(text.printed(arrived.lines or ()))
-    if any(frames.changing > text.CHANGING for frames in printed):
-        return CHANGING_WORDS
-    if grid and printed and max(frames.numbers[0].size for frames in printed) < grid[0] * grid[1]:
-        return NO_FRAMES_IN_TEXT
-    unfit = f", which do not fit {grid[0]}x{grid[1]} cells" if grid else ""
-    return f"{seen.frame}{unfit}; say --grid ROWSxCOLUMNS"
+        return NO_FRAMES_IN_BYTES if arrived.lines is None else f"no frames: {PRINT_FRAMES}"
+    if grid is None:
+        return f"{seen.frame}; say --grid ROWSxCOLUMNS"
+    unfit = f"{seen.frame}, which do not fit {grid[0]}x{grid[1]} cells; say another --grid"
+    return unfit if arrived.lines is None else f"{unfit}, or {PRINT_FRAMES}"
 
 
-def _best(readings: Sequence[Reading]) -> Reading | None:
-    """Return the likeliest reading: of the smoothest ones, that in which neighbours move together most."""
-    placed = [_placed(reading) for reading in readings]
-    most = max((rank[0] for _, rank, _ in placed), default=0.0)
-    near = [each for each in placed if each[1][0] >= NEAR * most]
-    least = min((roughness for *_, roughness in near), default=0.0)
-    smooth = (each for each in near if each[2] <= SMOOTH * least)
-    return max(smooth, key=lambda each: each[1], default=(None,))[0]
-
-
-def _placed(reading: Reading) -> tuple[Reading, tuple[float, ...], float]:
-    """Return a reading (turned, if its cells are sent column by column), its rank, and its roughness."""
-    values = thinned(reading.values)
-    rows, columns = reading.grid
-    moved = movement(values)
-    if rows != columns and is_stride(moved, rows) and not is_stride(moved, columns):
-        rows, columns = columns, rows
-        described = msgspec.structs.replace(reading.described, rows=rows, columns=columns)
-        reading = replace(reading, described=described)
-    steps = np.abs(np.diff(values, axis=0)).mean(axis=0)
-    alive = int((steps > 0).sum())
-    # If values are small, both byte orders read the same cells; boards that send are mostly little-endian.
-    is_little = reading.described.order == "little"
-    most = round(together(moved, np.arange(rows * columns).reshape(rows, columns)), 4)
-    rank = most, alive, -float(np.ptp(np.median(values, axis=0))), is_little
-    return reading, rank, float(steps.sum()) / max(alive, 1)
-
-
-def _proven(best: Reading, arrived: Arrived, saw: str) -> Finding:
-    """Return the description of a reading, with its proof or what the proof is missing."""
+def _proven(best: Placement, arrived: Arrived, saw: str) -> Finding:
+    """Return the description of a placement, with its proof or what the proof is missing."""
     described = scaled(best)
     rate_hz = len(best.values) / arrived.seconds
     if rate_hz < MIN_RATE_HZ:
@@ -154,19 +146,19 @@ def _proven(best: Reading, arrived: Arrived, saw: str) -> Finding:
     if missing := objection(best) or unscaled(described, best.values):
         return Finding(None, missing, saw, described, may_come=True)
     if arrived.lines is None:
-        described = binary.complete(described, best, arrived.data, arrived.seconds)
+        described = binary.with_clock(described, arrived.data, arrived.seconds)
+    described = as_preset(described, arrived.data)
     if missing := unexplained(described, best.values, arrived.chunks):
         return Finding(None, missing, saw, described)
-    described = as_preset(described)
     return Finding(described, "", saw, described)
 
 
-def as_preset(described: PadFormat) -> PadFormat:
-    """Return the preset with the same line, grid and direction; for text, only if the preset has a crop."""
+def as_preset(described: PadFormat, data: bytes) -> PadFormat:
+    """Return the preset with the same grid and direction that reads the data, if it says more than these."""
     for preset in PRESETS.values():
-        same = (preset.line, preset.rows, preset.columns, preset.invert)
-        is_same = same == (described.line, described.rows, described.columns, described.invert)
-        if is_same and (preset.framing == "binary" or preset.crop):
+        same = (preset.framing, preset.rows, preset.columns, preset.invert)
+        is_same = same == (described.framing, described.rows, described.columns, described.invert)
+        if is_same and (preset.framing == "binary" or preset.crop) and reads(preset, data):
             return preset
     return described
 

@@ -4,12 +4,13 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from touchd.drivers.frame import MIN_RATE_HZ
 from touchd.drivers.pad.binary import frame_bytes
 from touchd.drivers.pad.format import LONGEST_SIDE, PRESETS, SHORTEST_SIDE, PadFormat
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.search import binary, text
-from touchd.drivers.search.neighbours import counting
 
 Grid = tuple[int, int]
 # A preset fits if it reads this share of what came; the proof asks for more.
@@ -33,36 +34,34 @@ class Survey:
 def survey(data: bytes, lines: Sequence[text.TextLine] | None, seconds: float) -> Survey | None:
     """Look at what arrived within some seconds; None if it has no frames."""
     if lines is None:
-        return _of_bytes(data, seconds)
+        table = next(binary.tables(data), None)
+        if table is None:
+            return None
+        left = range(table.length - 1, max(table.length - binary.MOST_AROUND, 0), -1)
+        sizes = [size // cell for size in left for cell in (1, 2, 4)]
+        return _shown(f"{table.length} bytes a frame", len(table.twice) / seconds, data, sizes)
     found = list(text.printed(lines))
     # Log lines among frames of one line look like separators.
     fast = [each for each in found if len(each.numbers) >= MIN_RATE_HZ * seconds]
     if not found:
         return None
-    frames = (fast or found)[0]
-    count, height, width = frames.numbers.shape
-    cells = int(frames.are_cells.sum()) * height
-    if height == 1:
-        cells = int((~counting(frames.numbers[:, 0])).sum())
+    numbers = (fast or found)[0].numbers
+    count, height, width = numbers.shape
     frame = f"{height * width} numbers a frame"
-    columns = cells // height
-    if height >= SHORTEST_SIDE and SHORTEST_SIDE <= columns <= LONGEST_SIDE:
-        return Survey(frame, count / seconds, (height, columns), ((height, columns), "as its lines show"))
-    return _shown(frame, count / seconds, data, [cells])
-
-
-def _of_bytes(data: bytes, seconds: float) -> Survey | None:
-    frames = binary.frames_in(data)
-    if frames is None:
-        return None
-    count, length = frames.data.shape
-    sizes = [(length - around) // size for around in range(1, binary.MOST_AROUND) for size in (1, 2, 4)]
-    return _shown(f"{length} bytes a frame", count / seconds, data, [cells for cells in sizes if cells > 15])
+    if height == 1:
+        cells = width - int(binary.counting(numbers[:, 0]).sum())
+        return _shown(frame, count / seconds, data, [cells])
+    # A column of numbers that never change, but differ from line to line, numbers the rows.
+    is_still, differs = np.ptp(numbers, axis=0).max(axis=0) == 0, np.ptp(numbers[0], axis=0) > 0
+    shown = height, width - int((is_still & differs).sum())
+    if not all(SHORTEST_SIDE <= side <= LONGEST_SIDE for side in shown):
+        return _shown(frame, count / seconds, data, [math.prod(shown)])
+    return Survey(frame, count / seconds, shown, (shown, "as its lines show"))
 
 
 def _shown(frame: str, rate_hz: float, data: bytes, cells: Sequence[int]) -> Survey:
     """Return a survey with the grid of the preset that reads the data, or the squarest grid that fits."""
-    preset = next((name for name, each in PRESETS.items() if not each.poll and _reads(each, data)), None)
+    preset = next((name for name, each in PRESETS.items() if reads(each, data)), None)
     if preset:
         grid = PRESETS[preset].rows, PRESETS[preset].columns
         return Survey(frame, rate_hz, grid, (grid, f"as {preset}"))
@@ -72,8 +71,10 @@ def _shown(frame: str, rate_hz: float, data: bytes, cells: Sequence[int]) -> Sur
     return Survey(frame, rate_hz, None, squarest and (squarest, "the squarest"))
 
 
-def _reads(preset: PadFormat, data: bytes) -> bool:
+def reads(preset: PadFormat, data: bytes) -> bool:
     """Whether the parser of a preset reads nearly all of the data."""
+    if preset.poll:
+        return False
     parser = parser_of(preset)
     parser.feed(data, 0.0)
     counts = parser.counts

@@ -82,6 +82,7 @@ READ: dict[str, Printed] = {
     "rows and a word": lambda v, n: f"{table(v, ' ')}-----\r\n",
     "rows, numbered": lambda v, n: "".join(f"{i}\t{line(r)}" for i, r in enumerate(v)),
     "rows, labelled": lambda v, n: "".join(f"Row {i}: {line(r)}" for i, r in enumerate(v)) + "\r\n",
+    "rows with sums": lambda v, n: "".join(f"{line(r, end='')};{r.sum()}\r\n" for r in v) + "\r\n",
     "rows in halves": lambda v, n: table(v.reshape(16, -1)) + "\r\n",
     "two rows a line": lambda v, n: table(v.reshape(4, -1)) + "\r\n",
     "a cell a line": lambda v, n: "".join(f"A{i}: {x}\r\n" for i, x in enumerate(v.ravel())),
@@ -104,10 +105,6 @@ READ: dict[str, Printed] = {
     "f32, big": lambda v, n: b"\xaa\x55" + sent(v, ">f4"),
 }
 REFUSED: dict[str, tuple[Printed, str]] = {
-    "rows with sums": (
-        lambda v, n: "".join(f"{line(r, end='')};{r.sum()}\r\n" for r in v) + "\r\n",
-        "beside its cells",
-    ),
     "bare rows": (lambda v, n: table(v), "empty line"),
     "a shorter last line": (
         lambda v, n: table(v.ravel()[:72].reshape(6, 12)) + line(v.ravel()[72:]) + "\n",
@@ -128,8 +125,8 @@ REFUSED: dict[str, tuple[Printed, str]] = {
     ),
     "rows to and fro": (lambda v, n: line(to_and_fro(v)), "backwards"),
     "rows to and fro in bytes": (lambda v, n: b"\xaa\x55" + sent(to_and_fro(v), "<u2"), "backwards"),
-    "pads by turns": (lambda v, n: line(v) + line(v[::-1, ::-1]), "turns"),
-    "pads by turns, named": (lambda v, n: f"L,{line(v)}R,{line(v)}", "two pads"),
+    "pads by turns": (lambda v, n: line(v) + line(v[::-1, ::-1]), "two pads"),
+    "pads by turns, named": (lambda v, n: f"L,{line(v)}R,{line(v[::-1, ::-1])}", "two pads"),
     "two pads": (lambda v, n: line(v, end=" | ") + line(v), "160 numbers a frame, which do not fit 8x10"),
     "raw and filtered": (lambda v, n: line(np.stack([v, v * 3 // 4], -1)), "160 numbers"),
     "changes": (lambda v, n: line(np.rint(90 * np.sin(n / 3) * v / 1023).astype(np.int_)), ""),
@@ -140,11 +137,7 @@ REFUSED: dict[str, tuple[Printed, str]] = {
         lambda v, n: b"\xf0\xaa\x55" + sent(v & 255, "u1") + sent(v >> 8, "u1"),
         "",
     ),
-    "seven bits a byte": (
-        lambda v, n: b"\xf0\xaa\x55" + b"".join(bytes([x >> 7, x & 127]) for x in v.ravel().tolist()),
-        "two bytes",
-    ),
-    "low bytes": (lambda v, n: b"\xf0\xaa\x55" + sent(v & 255, "u1"), "halves"),
+    "low bytes": (lambda v, n: b"\xf0\xaa\x55" + sent(v & 255, "u1"), "parts of other numbers"),
     "a packet a row": (
         lambda v, n: b"".join(b"\xaa" + bytes([i]) + sent(r // 5, "u1") for i, r in enumerate(v)),
         "",

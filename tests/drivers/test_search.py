@@ -138,11 +138,11 @@ def test_a_presets_line_with_opposite_values_is_not_the_preset() -> None:
     assert (found.rows, found.columns, found.invert) == (10, 10, False)
 
 
-def test_a_clock_that_wraps_during_the_search_is_found() -> None:
+def test_a_clock_among_the_skipped_bytes_is_found() -> None:
     described = PadFormat(header="ff55", clock=True, cell="u8", rows=6, columns=5, full_scale=255)
     values = np.floor(pressed(6, 5, 255, np.random.default_rng(4)))
     chunks = [
-        Chunk(encode_values(described, frame, (20 * number - 1500) % 2**32), number / 50)
+        Chunk(encode_values(described, frame, 70_000 + 20 * number), number / 50)
         for number, frame in enumerate(values)
     ]
     assert search(chunks, (6, 5)).proposed == described
