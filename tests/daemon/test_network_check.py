@@ -79,14 +79,14 @@ def test_three_low_answers_in_a_row_begin_a_touch() -> None:
     assert begins(rests_at(0.9, 0.02, 0.9, 0.02), 5) == [False, False, False, False, True]
 
 
-@pytest.mark.parametrize(("mean", "is_seen"), [(0.14, True), (0.16, False)])
+@pytest.mark.parametrize(("mean", "is_seen"), [(0.1, True), (0.16, False)])
 def test_the_mean_of_three_answers_decides(mean: float, is_seen: bool) -> None:
     assert begins(rests_at(0.9, 0.0, 0.0, 3 * mean), 3)[-1] == is_seen
 
 
 @pytest.mark.parametrize(
     ("rest", "answer", "is_seen"),
-    [(0.9, 0.14, True), (0.22, 0.14, False), (0.22, 0.11, True), (0.18, 0.01, False), (0.0, 0.0, False)],
+    [(0.9, 0.11, True), (0.22, 0.14, False), (0.22, 0.11, True), (0.18, 0.01, False), (0.0, 0.0, False)],
 )
 def test_a_pad_that_looks_touched_at_rest_needs_a_lower_answer(
     rest: float, answer: float, is_seen: bool
@@ -97,7 +97,7 @@ def test_a_pad_that_looks_touched_at_rest_needs_a_lower_answer(
 
 @pytest.mark.parametrize(
     ("rest", "knows_rest", "knows_well"),
-    [(0.9, True, True), (0.76, True, True), (0.74, True, False), (0.21, True, False), (0.19, False, False)],
+    [(0.9, True, True), (0.71, True, True), (0.69, True, False), (0.21, True, False), (0.19, False, False)],
 )
 def test_the_network_knows_a_pad_by_its_answers_at_rest(
     rest: float, knows_rest: bool, knows_well: bool
@@ -122,7 +122,7 @@ def asked_until(rest: float, then: float, knows_well: bool) -> int:
 
 def test_what_is_known_of_rest_follows_more_slowly_down() -> None:
     rises, falls = asked_until(0.6, 1.0, knows_well=True), asked_until(0.9, 0.5, knows_well=False)
-    assert 3 <= rises <= 6 < 8 <= falls <= 12
+    assert 2 <= rises <= 6 < 8 <= falls <= 16
 
 
 @pytest.mark.parametrize(
