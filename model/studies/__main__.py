@@ -30,6 +30,10 @@ STUDIES = {
         "studies.sessions.passing",
         "sessions.md: touches of a second or less, and hands that change",
     ),
+    "constants": (
+        "studies.sessions.constants",
+        "sessions.md: what each constant of detection does",
+    ),
     "sessions": ("studies.sessions.report", "sessions.md: what the robot is told of a pad in use"),
 }
 
