@@ -8,14 +8,32 @@ import pytest
 import serial
 from rigs.doctor_rig import SETTINGS, pad_of, resting, systemd_says, the
 from rigs.robots import Robot
+from rigs.sensor_rig import as_8x8
 
 from touchd.daemon import cli
 from touchd.daemon.config import SensorSettings, Settings
 from touchd.daemon.doctor.examine import examine
 from touchd.daemon.doctor.machine import check_model, check_robot, check_service
 from touchd.drivers.robot.session import RobotSettings
+from touchd.drivers.search.search import Finding
 
 ACTIVE = "LoadState=loaded\nActiveState=active\n"
+
+
+@pytest.mark.parametrize(("told", "searched"), [(["--grid", "12x9"], [(12, 9)]), ([], [(10, 10), None])])
+def test_the_doctor_searches_with_the_grid_that_was_told(
+    monkeypatch: pytest.MonkeyPatch, told: list[str], searched: list[tuple[int, int] | None]
+) -> None:
+    grids: list[tuple[int, int] | None] = []
+
+    def find(say: object, opened: object, each: tuple[tuple[int, int] | None, ...]) -> Finding:
+        grids.extend(each)
+        return Finding(None, "press it", "text")
+
+    monkeypatch.setattr("touchd.daemon.doctor.examine.find_without_asking", find)
+    with pad_of(resting(30.0), as_8x8) as port:
+        assert cli.main(["doctor", "--port", port.path, "--seconds", "1", *told]) == 1
+    assert grids == searched
 
 
 def test_a_sound_pad_passes_every_check(
