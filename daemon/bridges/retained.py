@@ -87,7 +87,8 @@ class Retained:
             self._file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             with whole_file(self._file, mode=PRIVATE_MODE) as new:
                 new.write_bytes(msgspec.json.encode(Memory(self._config, brokers)))
-        except OSError as error:
+        # A path that is not UTF-8 cannot be written.
+        except (OSError, UnicodeEncodeError) as error:
             log.info("what a later configuration should clear at the broker is not remembered: %s", error)
 
 

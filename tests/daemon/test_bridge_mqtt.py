@@ -409,7 +409,8 @@ def test_a_damaged_memory_of_topics_does_not_matter(tmp_path: Path) -> None:
             file.write_bytes(content)
         assert Retained(tmp_path, config, on_broker).former == ()
     assert Retained(tmp_path, config, None).former == (on_broker,)
-    assert Retained(Path("/proc/no"), config, on_broker).former == ()
+    for folder, path in ((Path("/proc/no"), config), (tmp_path, Path(os.fsdecode(b"/\xff.yaml")))):
+        assert Retained(folder, path, on_broker).former == ()
 
 
 @pytest.mark.parametrize("ending", ["stopped", "lost", ""])
