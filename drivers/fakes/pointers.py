@@ -65,7 +65,7 @@ STRIKE_SPREADS = 0.3
 AIMED_FRAME, ASKEW = 6, 0.15
 # From FLAT_WAY taxels on, a stroking hand rolls from its palm onto its fingers. After ROLLED_WAY more it has,
 # and has lost the share ROLLED_LIGHTER of its load.
-FLAT_WAY, ROLLED_WAY, ROLLED_LIGHTER = 1.5, 3.0, 0.35
+FLAT_WAY, ROLLED_WAY, ROLLED_LIGHTER = 2.5, 2.5, 0.33
 # A hand that rests, or has come back by TURN taxels, has rolled this far: recorded ones spread 2.2 to 2.5
 # taxels, stroking ones 2.6. Share of the way to such a state in a frame.
 REST_ROLLED, TURN, ROLL_SHARE = 0.7, 0.5, 0.2
