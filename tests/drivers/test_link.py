@@ -6,10 +6,11 @@ import threading
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 from rigs.call_log import CallLog
-from rigs.robots import States, message
+from rigs.robots import LOGIN, States, login_in, message
 from rigs.wait import wait_for
 
 from touchd.drivers.fakes.stub_robot import StubRobot
@@ -43,22 +44,22 @@ def raised(calls: CallLog) -> list[tuple[object, ...]]:
 
 
 def test_each_pad_has_events_of_its_own() -> None:
-    with robot_and_link(pads=("head", "arm")) as (_, link, calls, _):
-        link.publish(message("pat", 7, pad="arm", time_s=1_790_000_000.25, confidence=0.75))
-        calls.wait_for_raise("TouchGesture/arm/Gesture", "pat")
+    with robot_and_link(pads=("head", "wrist")) as (_, link, calls, _):
+        link.publish(message("pat", 7, pad="wrist", time_s=1_790_000_000.25, confidence=0.75))
+        calls.wait_for_raise("TouchGesture/wrist/Gesture", "pat")
         link.set_status("degraded", "head")
         calls.wait_for_raise("TouchGesture/head/Status", "degraded")
     assert raised(calls) == [
         ("TouchGesture/head/Status", "up"),
-        ("TouchGesture/arm/Status", "up"),
-        ("TouchGesture/arm/Detail", ["pat", 0.75, [1_790_000_000, 250_000], "early", 7, 7]),
-        ("TouchGesture/arm/Gesture", "pat"),
+        ("TouchGesture/wrist/Status", "up"),
+        ("TouchGesture/wrist/Detail", ["pat", 0.75, [1_790_000_000, 250_000], "early", 7, 7]),
+        ("TouchGesture/wrist/Gesture", "pat"),
         ("TouchGesture/head/Status", "degraded"),
         ("TouchGesture/head/Status", "down"),
-        ("TouchGesture/arm/Status", "down"),
+        ("TouchGesture/wrist/Status", "down"),
     ]
     removed = [call.arguments for call in calls.all() if call.method == "removeData"]
-    assert removed == [("TouchGesture/arm/Gesture",)]
+    assert removed == [("TouchGesture/wrist/Gesture",)]
 
 
 @pytest.mark.parametrize(
@@ -103,11 +104,12 @@ def test_the_status_is_sent_once_for_each_change() -> None:
 
 def test_a_robot_that_comes_and_goes_is_logged_and_reported(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
-    with robot_and_link() as (robot, _, _, states):
+    with robot_and_link() as (robot, _, calls, states):
         robot.kill()
         states.wait_for("up", "down")
         robot.start()
         states.wait_for("up", "down", "up")
+        assert calls.raised(STATUS) == ["up", "up"]
     why = "the connection was closed by the robot"
     assert states.told == [("up", ""), ("down", why), ("up", "")]
     first, second, third = (record.getMessage() for record in caplog.records)
@@ -203,10 +205,20 @@ def test_other_addresses_are_refused_with_an_example(url: str) -> None:
 
 @pytest.mark.parametrize(("url", "port"), [("tcp://nao", 9559), ("tcps://nao:", 9503)])
 def test_the_usual_port_is_proposed(url: str, port: int) -> None:
-    with pytest.raises(RobotError, match=f"lacks its port, usually {port}: .*://nao:{port}$"):
+    with pytest.raises(
+        RobotError, match=f"lacks its port, usually {port}: {url.partition(':')[0]}://nao:{port}$"
+    ):
         read_login(RobotSettings(url=url))
 
 
 def test_a_token_without_a_user_is_refused() -> None:
     with pytest.raises(RobotError, match="set user"):
         read_login(RobotSettings(url="tcps://nao:9503", token_file="/dev/null"))
+
+
+def test_a_login_is_read_for_this_computer_and_for_others_only_if_trusted(tmp_path: Path) -> None:
+    login = login_in(tmp_path)
+    assert read_login(RobotSettings(url="tcps://127.0.0.1:9503", **login)) == LOGIN
+    assert read_login(RobotSettings(url="tcps://nao:9503", trust_network=True, **login)) == LOGIN
+    with pytest.raises(RobotError, match="trust_network"):
+        read_login(RobotSettings(url="tcps://nao:9503", **login))
