@@ -122,7 +122,7 @@ def asked_until(rest: float, then: float, knows_well: bool) -> int:
 
 def test_what_is_known_of_rest_follows_more_slowly_down() -> None:
     rises, falls = asked_until(0.6, 1.0, knows_well=True), asked_until(0.9, 0.5, knows_well=False)
-    assert 2 <= rises <= 6 < 8 <= falls <= 16
+    assert 2 <= rises <= 5 < 8 <= falls <= 16
 
 
 @pytest.mark.parametrize(
