@@ -318,3 +318,23 @@ def test_the_sway_of_a_body_that_breathes_is_learned(pad: TrackedPad) -> None:
     pad.feel(nothing(10.0) + breathing[:, None, None])
     assert still < 0.7
     assert 1.0 < pad.tracker.baseline.sway.mean() < 2.5
+
+
+def test_rest_is_known_after_half_a_second() -> None:
+    pad = TrackedPad()
+    pad.feel(nothing(26 / 54))
+    assert not pad.tracker.is_settled(1)
+    pad.feel(nothing(1 / 54))
+    assert pad.tracker.is_settled(1)
+
+
+def test_beside_an_object_the_network_is_asked_about_light_contact(
+    seen: TrackedPad, network: Network
+) -> None:
+    box = palm(14.0, counts=200.0, trembling=False)
+    assert [type(change) for change in seen.feel(box)] == [Onset, Release]
+    network.no_touch = 0.02
+    began, beside = seen.index, box[:32].copy()
+    beside[:, 5:8, 0:3] += palm(32 / 54, 4.0)[:, 2:5, 3:6]
+    (onset,) = seen.feel(beside)
+    assert abs(onset.first_index - began) <= 2
