@@ -2,8 +2,8 @@
 
 A pointer shows where a hand is and when it is down, but not how firmly it presses. Here that follows from
 its speed, from how long it has been down and from what touches. It is set to HAART's training recordings on
-the uncovered pad, contact by contact; no network's answers were used. Loads are sums over the pad, in counts
-above rest and noise:
+the uncovered pad, contact by contact; no value was fitted to a network's answers. Loads are sums over the
+pad, in counts above rest and noise:
 
 - A hand that lands in one place strikes. Recorded pats peak at 101 to 453 counts (10th and 90th percentile)
   and touch 10 to 37 taxels; they last 4 to 7 frames. Palm and fingers do not land at once, so that a frame's
