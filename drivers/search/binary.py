@@ -152,3 +152,13 @@ def with_clock(described: PadFormat, data: bytes, seconds: float) -> PadFormat:
     frames = parser_of(clocked).feed(data, 0.0)
     elapsed_ms = sum((b.sensor_ms - a.sensor_ms) % CLOCK_MODULUS for a, b in pairwise(frames))
     return clocked if abs(elapsed_ms / (1000 * seconds) - 1) < CLOCK_TOLERANCE else described
+
+
+def with_checksum(described: PadFormat, data: bytes) -> PadFormat:
+    """Return a description with the checksum that the byte after its cells is, if it is one."""
+    for kind in ("values", "sum8", "xor8") if described.tail == 1 and described.cell != "f32" else ():
+        parser = parser_of(replace(described, tail=0, checksum=kind))
+        parser.feed(data, 0.0)
+        if parser.counts.bad_checksum < (1 - STEADY_SHARE) * parser.counts.frames:
+            return parser.format
+    return described

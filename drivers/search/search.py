@@ -147,6 +147,7 @@ def _proven(best: Placement, arrived: Arrived, saw: str) -> Finding:
         return Finding(None, missing, saw, described, may_come=True)
     if arrived.lines is None:
         described = binary.with_clock(described, arrived.data, arrived.seconds)
+        described = binary.with_checksum(described, arrived.data)
     described = as_preset(described, arrived.data)
     if missing := unexplained(described, best.values, arrived.chunks):
         return Finding(None, missing, saw, described)

@@ -28,15 +28,16 @@ LEAST_FRAMES, LEAST_OFF_FRAMES = 2, 3
 # A stroke takes at least 0.3 s; a shorter contact in its recording is a slip.
 LEAST_STROKE_FRAMES = 16
 
-Counts = NDArray[np.float32]
+Levels = NDArray[np.float32]
+"""(8, 8) counts, in fractions."""
 
 
-def lightest(counts: NDArray[np.generic]) -> Counts:
+def lightest(counts: NDArray[np.generic]) -> Levels:
     """Return (8, 8) counts: the lightest sixth of a second of each taxel of (T, 8, 8)."""
     blocks = len(counts) // LIGHTEST_FRAMES
     cut = np.asarray(counts[: blocks * LIGHTEST_FRAMES], np.float32)
     medians = np.median(cut.reshape(blocks, LIGHTEST_FRAMES, ROWS, COLUMNS), axis=1)
-    found: Counts = medians.min(axis=0)
+    found: Levels = medians.min(axis=0)
     return found
 
 
@@ -84,8 +85,8 @@ def rests_of(recordings: Sequence[Recording]) -> list[list[int]]:
     ]
 
 
-def shift_of_rest(touched: NDArray[np.generic], resting: NDArray[np.generic]) -> Counts:
+def shift_of_rest(touched: NDArray[np.generic], resting: NDArray[np.generic]) -> Levels:
     """Return (8, 8) counts by which the pad's rest shifted while it was touched, as a fabric's does."""
     rest = np.median(np.asarray(resting, np.float32), axis=0)
-    shift: Counts = np.clip(np.rint(lightest(touched) - rest), -MOST_SHIFTED_COUNTS, MOST_SHIFTED_COUNTS)
+    shift: Levels = np.clip(np.rint(lightest(touched) - rest), -MOST_SHIFTED_COUNTS, MOST_SHIFTED_COUNTS)
     return shift

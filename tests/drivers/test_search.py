@@ -4,6 +4,7 @@ import json
 import resource
 import time
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -146,6 +147,20 @@ def test_a_clock_among_the_skipped_bytes_is_found() -> None:
         for number, frame in enumerate(values)
     ]
     assert search(chunks, (6, 5)).proposed == described
+
+
+@pytest.mark.parametrize("kind", ["values", "sum8", "xor8"])
+def test_a_last_byte_that_checks_the_frame_is_found(kind: Literal["values", "sum8", "xor8"]) -> None:
+    described = PadFormat(header="aa55", rows=8, columns=8, checksum=kind)
+    found = found_in(described).proposed
+    assert found is not None
+    assert (found.checksum, found.tail) == (kind, 0)
+
+
+def test_a_last_byte_that_never_changes_is_no_checksum() -> None:
+    found = found_in(PadFormat(header="aa55", rows=8, columns=8, tail=1)).proposed
+    assert found is not None
+    assert (found.checksum, found.tail) == ("none", 1)
 
 
 def streamed(data: bytes, size: int = 256, every_s: float = 0.02) -> list[Chunk]:
