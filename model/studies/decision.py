@@ -52,6 +52,8 @@ MOST_HARMED = 0.02
 AS_GOOD = 0.005
 """Half a point: two of 492 touches."""
 EARLY_S = 0.9
+NAMED = (0.4, 0.65, 0.75, 0.85)
+"""Values of `speak_above` that the right panel names; others would lie on other lines."""
 LABELS_AT = ((1.0, 89.4), (1.1, 80.2), (1.1, 68.0))
 """Places of the left panel's labels: seconds, percent."""
 HAART, TEST, SECOND, THIRD = "HAART held out", "HAART test", "second study", "third study"
@@ -439,16 +441,17 @@ def draw(measured: Measured, path: Path) -> None:
         along = [p for p in study.curve if p.revise_margin == margin]
         points = [(100 * p.told_early, 100 * p.right_when_told_early) for p in along]
         right.plot(*zip(*points, strict=True), "o-", color=colour, markersize=4)
-        va = "top" if title == HAART else "bottom"
+        va = "top" if title in (HAART, THIRD) else "bottom"
         right.annotate(title, points[0], xytext=(6, 0), textcoords="offset points", va=va, color=colour)
         chosen = next(p for p in along if p.speak_above == measured.default.speak_above)
         right.plot(
             100 * chosen.told_early, 100 * chosen.right_when_told_early, "*", color=colour, markersize=14
         )
-    for p in [p for p in measured.studies[HAART].curve if p.revise_margin == margin][::2]:
+    curve = measured.studies[HAART].curve
+    for p in [p for p in curve if p.revise_margin == margin and p.speak_above in NAMED]:
         dot = (100 * p.told_early, 100 * p.right_when_told_early)
         name = f"{p.speak_above:.2g}"
-        right.annotate(name, dot, xytext=(-4, -12), textcoords="offset points", ha="right", fontsize=8)
+        right.annotate(name, dot, xytext=(4, 3), textcoords="offset points", color="#1f5fa8", fontsize=8)
     right.set(xlabel="touches told after 1 s, %", ylabel="right when told, %", xlim=(0, 140))
     right.set_xticks(range(0, 101, 20))
     for axes in (left, right):
