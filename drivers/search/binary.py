@@ -23,7 +23,8 @@ from touchd.drivers.search.text import LEAST_FRAMES
 
 # Bytes of a frame beside its cells: header, length, 64-bit clock, counter and checksum take 20.
 MOST_AROUND = 32
-# The fabric pad's header has four bytes; two bytes hardly ever occur among cells by chance.
+# The fabric pad's header has four bytes, and eight hold a header and a length; what is longer is skipped. Two
+# bytes hardly ever occur among cells by chance.
 LONGEST_HEADER, SHORT_HEADER = 8, 2
 # One frame in 65 may be damaged; the proof asks for 98 %.
 STEADY_SHARE = 0.985

@@ -25,7 +25,8 @@ FIRST_BYTE_S = 3.0
 SAMPLE_S = 1.0
 # Single bits occur in more than half of random bytes; line noise makes some at a rate that is too high, too.
 FEW_BYTES = 0.01
-SURE = 3.0
+# Ranks of what a rate may yield, not measures: text with numbers ends the search, as no wrong rate yields it.
+WITH_NUMBERS, WORDS, FRAMES, SINGLE_BITS = 3.0, 2.5, 2.0, 0.5
 # Most bytes that are kept, the latest ones: eight seconds of the largest preset take a fifth of them.
 MOST_BYTES = 1_000_000
 
@@ -75,7 +76,7 @@ def likeliest_baud(opened: Line, bauds: Sequence[int], say: Callable[[int], None
                 return None
             first_byte_s = SAMPLE_S
             likely[baud] = likelihood(data)
-            if likely[baud] >= SURE:
+            if likely[baud] >= WITH_NUMBERS:
                 break
     if not likely:
         return None
@@ -89,8 +90,8 @@ def likelihood(data: bytes) -> float:
     """Rate a sample: text with numbers is certain; next come frames of one length, then single bits."""
     if is_text(data):
         lines = list(lines_in(data[: ended_at(data)]))
-        return SURE if any(numbers_in(line)[0] for line in lines) else 2.5
-    return 2.0 * (next(tables(data), None) is not None) + has_single_bits(data) * 0.5
+        return WITH_NUMBERS if any(numbers_in(line)[0] for line in lines) else WORDS
+    return FRAMES * (next(tables(data), None) is not None) + SINGLE_BITS * has_single_bits(data)
 
 
 def has_single_bits(data: bytes) -> bool:

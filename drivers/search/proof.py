@@ -20,9 +20,10 @@ from touchd.drivers.search.neighbours import (
     thinned,
 )
 
-# The parser has to read this share of what came, and this share of the later frames that were found; a header
-# that also occurs among the cells shifts more.
+# The parser has to read this share of what came, as docs/pads.md promises: a lab's line damages fewer frames. It
+# has to read this share of the later frames that were found; a header that also occurs among the cells shifts more.
 EXPLAINED, MOSTLY = 0.98, 0.9
+# The fastest rate of a format, and 5 % for the error of one that is measured over seconds.
 FASTEST_HZ = 525.0
 # The parser may hold frames back for a second and a half, until it knows what their clock counts.
 UNTIL_DATED = 0.25

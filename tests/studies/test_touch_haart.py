@@ -51,6 +51,11 @@ def test_the_committed_figures_are_those_of_the_default_settings(committed: Touc
     assert committed.settings == TouchSettings()
 
 
+def test_a_lower_threshold_than_the_default_is_too_low_for_a_noisier_pad(committed: TouchReport) -> None:
+    false = {point.onset_threshold: point.false_per_10_min for point in committed.noisy}
+    assert false[TouchSettings().onset_threshold] <= figures.MAX_FALSE_PER_10_MIN < false[2.0]
+
+
 @needs_haart
 def test_the_committed_figures_hold_for_a_participant(
     committed: TouchReport, recordings: list[Recording]

@@ -23,6 +23,8 @@ from touchd.model.studies.tracker.measure import (
 ONSET_LEVELS = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0)
 SPLICES = {"as recorded": False, "rest levelled": True}
 """Whether the notouch is shifted to the gesture's own rest."""
+NOISE_COUNTS = 1.0
+"""Standard deviation of the noise added to each taxel, for pads that are noisier than the recordings'."""
 QUIETS_S = (0.4, 0.5, 0.6, 0.8, 1.0)
 MAX_MISSED = 0.02
 MAX_FALSE_PER_10_MIN = 1.0
@@ -63,6 +65,13 @@ class QuietPoint(msgspec.Struct, frozen=True, kw_only=True):
     split: dict[str, int]
 
 
+class NoisyPoint(msgspec.Struct, frozen=True, kw_only=True):
+    """False touches of one onset level in the same notouch with NOISE_COUNTS added."""
+
+    onset_threshold: float
+    false_per_10_min: float
+
+
 class TrackedGesture(msgspec.Struct, frozen=True, kw_only=True):
     """One gesture at the default settings.
 
@@ -94,11 +103,13 @@ class HeldOut(msgspec.Struct, frozen=True, kw_only=True):
 class TouchReport(msgspec.Struct, frozen=True, kw_only=True):
     """Everything measured; each figure as recorded and with rest levelled (see `measure`).
 
-    held_out: training participants. unseen: the test participants together, at the default.
+    noisy: false touches on a noisier pad, as recorded. held_out: training participants. unseen: the test
+    participants together, at the default.
     """
 
     settings: TouchSettings
     curve: dict[str, tuple[OnsetPoint, ...]]
+    noisy: tuple[NoisyPoint, ...]
     held_out: dict[str, tuple[HeldOut, ...]]
     by_gesture: dict[str, tuple[TrackedGesture, ...]]
     quiet: tuple[QuietPoint, ...]
@@ -135,11 +146,26 @@ def measure(
     as_recorded = spliced(recordings, level_rest=False)
     return TouchReport(
         settings=default,
+        noisy=noisy_points(recordings, default),
         quiet=tuple(_quiet_point(as_recorded, default, quiet_s) for quiet_s in QUIETS_S),
         joins=sum(joins for joins, _ in joined),
         touched_joins=sum(touched for _, touched in joined),
         **figures,
     )
+
+
+def noisy_points(recordings: Sequence[Recording], default: TouchSettings) -> tuple[NoisyPoint, ...]:
+    """Return the false touches in ten minutes of notouch with noise added, at each onset level."""
+    rng = np.random.default_rng(0)
+    quiet = [one.counts for one in recordings if one.gesture == NO_TOUCH]
+    noisy = [(scans + NOISE_COUNTS * rng.normal(size=scans.shape)).clip(0).round() for scans in quiet]
+    minutes = sum(map(len, quiet)) / FRAME_RATE_HZ / 60.0
+    points = []
+    for level in ONSET_LEVELS:
+        settings = msgspec.structs.replace(default, onset_threshold=level)
+        false = sum(false_touches(scans.astype(np.float32), settings) for scans in noisy)
+        points.append(NoisyPoint(onset_threshold=level, false_per_10_min=round(10.0 * false / minutes, 1)))
+    return tuple(points)
 
 
 def choose_level(points: Sequence[OnsetPoint]) -> float:

@@ -23,12 +23,13 @@ COSTS = ("touches", "missed", "over 1 s late", "delay, median / p90 ms", "false 
 
 def tables(figures: TouchReport) -> dict[str, str]:
     """Return the page's tables by their places."""
+    noisy = {point.onset_threshold: point.false_per_10_min for point in figures.noisy}
     return {
         "detected": table(("people", "rest", *COSTS), _detected(figures)),
         "levels": table(
-            ("onset threshold", *COSTS[1:]),
+            ("onset threshold", *COSTS[1:], "on a noisier pad"),
             [
-                (f"{point.onset_threshold:g}", *_costs(point)[1:])
+                (f"{point.onset_threshold:g}", *_costs(point)[1:], noisy[point.onset_threshold])
                 for point in figures.curve[LEVELLED]
                 if point.onset_threshold in SHOWN
             ],
