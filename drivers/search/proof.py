@@ -20,8 +20,8 @@ from touchd.drivers.search.neighbours import (
     thinned,
 )
 
-# The parser has to read this share of what came, as docs/pads.md promises: a lab's line damages fewer frames. It
-# has to read this share of the later frames that were found; a header that also occurs among the cells shifts more.
+# The parser has to read this share of what came, as docs/pads.md promises, and this share of the later frames
+# that were found; a header that also occurs among the cells shifts more.
 EXPLAINED, MOSTLY = 0.98, 0.9
 # The fastest rate of a format, and 5 % for the error of one that is measured over seconds.
 FASTEST_HZ = 525.0
