@@ -1,5 +1,7 @@
 """The untouched pad: what each taxel reads, how much it varies, and the last second of frames."""
 
+from collections import deque
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,6 +24,9 @@ STEP_NOISE = 0.7
 # The noise floor is at least this many times the slow sway of a body that breathes.
 SWAY_FLOOR = 1.3
 MAX_SWAY_COUNTS = 4.0
+# Noise is how much a taxel changes within so many frames. Within one, slow hum looks like rest; within these
+# few, a slow press changes hardly more than noise.
+NOISE_FRAMES = 3
 # The learned sway halves in 15 seconds, at nine checks a second.
 SWAY_KEPT = 0.995
 # Mean noise floor above which light touches go unnoticed. HAART's pad has 1.6, the robot's 2.0 at most.
@@ -41,7 +46,7 @@ class Baseline:
         self.sway = np.zeros(TAXELS, np.float32)
         self._deviation = np.zeros(TAXELS, np.float32)
         self._steps = np.zeros(TAXELS, np.float32)
-        self._before: Taxels | None = None
+        self._latest: deque[Taxels] = deque(maxlen=NOISE_FRAMES)
         self._least_floor = self.noise_floor
 
     def calibrate(self, frames: NDArray[np.float32]) -> None:
@@ -60,13 +65,12 @@ class Baseline:
         """Move slowly towards (64,) counts of an untouched pad."""
         step = (pressure - self.counts) / TRACK_FRAMES
         self.counts += np.minimum(np.maximum(step, -MOST_TRACKED), MOST_TRACKED)
-        if self._before is not None:
-            # From frame to frame: a rest that shifts, or a slow press, is not noise.
-            moved = np.abs(pressure - self._before)
+        if self._latest:
+            moved, before = np.abs(pressure - self._latest[-1]), np.abs(pressure - self._latest[0])
             self._steps += (moved - self._steps) / TRACK_FRAMES
-            self._deviation += (STEP_NOISE * moved - self._deviation) / TRACK_FRAMES
+            self._deviation += (STEP_NOISE * before - self._deviation) / TRACK_FRAMES
         self._set_noise_floor()
-        self._before = pressure.copy()
+        self._latest.append(pressure.copy())
 
     @property
     def is_disturbed(self) -> bool:
