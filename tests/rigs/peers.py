@@ -111,8 +111,12 @@ def broker(folder: Path, port: int, lines: str = "allow_anonymous true\n") -> It
             wait_for(lambda: _listens(port))
             yield
         finally:
-            # On SIGTERM it saves its sessions.
+            # On SIGTERM it saves its sessions; one that has hardly begun misses the signal.
             process.terminate()
+            try:
+                process.wait(5.0)
+            except subprocess.TimeoutExpired:
+                process.kill()
 
 
 def _listens(port: int) -> bool:
