@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from touchd.daemon.bridges.settings import MEMORY_FILES
 from touchd.daemon.config import ConfigError, JournalSettings, SceneSettings, Settings, config_errors
 from touchd.daemon.events import (
     MAX_REASON_BYTES,
@@ -211,7 +212,7 @@ def bridges_to_others(
 ) -> tuple[Bridge, ...]:
     """Return the configured bridges, and what clears the traces of former ones; raises BridgeError."""
     state = JournalSettings().file.parent
-    has_traces = config is not None and any(state.glob("mqtt-*.json"))
+    has_traces = config is not None and any(state.glob(MEMORY_FILES))
     if not any(settings.bridges.values()) and not has_traces:
         return ()
     from touchd.daemon.bridges.bridges import make_bridges

@@ -15,12 +15,11 @@ from pathlib import Path
 
 import msgspec
 
-from touchd.daemon.bridges.settings import MqttSettings
+from touchd.daemon.bridges.settings import MEMORY_FILES, MqttSettings
 from touchd.drivers.whole_file import PRIVATE_MODE, whole_file, without_waiting
 
 log = logging.getLogger(__name__)
 
-FILES = "mqtt-*.json"
 # More than one daemon ever needs; the oldest beyond are forgotten.
 MOST_TOPICS, MOST_BROKERS = 256, 16
 
@@ -95,7 +94,7 @@ class Retained:
 def file_for(config: Path, folder: Path) -> Path:
     """Return the file in a state folder that belongs to a configuration file."""
     name = str(config.resolve()).encode(errors="surrogateescape")
-    return folder / f"mqtt-{hashlib.sha256(name).hexdigest()[:16]}.json"
+    return folder / MEMORY_FILES.replace("*", hashlib.sha256(name).hexdigest()[:16])
 
 
 def _merged(brokers: Iterable[OnBroker]) -> tuple[OnBroker, ...]:
@@ -110,7 +109,7 @@ def _merged(brokers: Iterable[OnBroker]) -> tuple[OnBroker, ...]:
 
 def _memories(folder: Path) -> Iterator[tuple[Path, Memory]]:
     with suppress(OSError):
-        for file in sorted(folder.glob(FILES)):
+        for file in sorted(folder.glob(MEMORY_FILES)):
             yield file, _read(file)
 
 

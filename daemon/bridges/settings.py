@@ -9,6 +9,8 @@ PressureHz = Annotated[float, msgspec.Meta(ge=0.001, le=500)]
 Port = Annotated[int, msgspec.Meta(ge=1, le=65535)]
 Topic = Annotated[str, msgspec.Meta(pattern=r"^[^/+#\s]+(/[^/+#\s]+)*$")]
 Namespace = Annotated[str, msgspec.Meta(pattern=r"^(/[A-Za-z_][A-Za-z0-9_]*)+$")]
+# Files of the state folder that remember what MQTT brokers retain.
+MEMORY_FILES = "mqtt-*.json"
 
 
 class MqttSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

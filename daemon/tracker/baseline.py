@@ -24,8 +24,8 @@ STEP_NOISE = 0.7
 # The noise floor is at least this many times the slow sway of a body that breathes.
 SWAY_FLOOR = 1.3
 MAX_SWAY_COUNTS = 4.0
-# Noise is how much a taxel changes within so many frames. Within one, slow hum looks like rest; within these
-# few, a slow press changes hardly more than noise.
+# Noise is the mean change of a taxel over this many frames. Over one frame, slow hum looks like rest; over
+# three, a slow press adds hardly anything.
 NOISE_FRAMES = 3
 # The learned sway halves in 15 seconds, at nine checks a second.
 SWAY_KEPT = 0.995

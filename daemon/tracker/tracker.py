@@ -91,7 +91,8 @@ BACKDATE_COUNTS = 1.0
 # touches are merged over six times as many pauses.
 LOW_SHARE = 0.5
 # It rises if it exceeds its lowest by this share of the same level, and by more than noise. With 0.1 and 6,
-# two more pauses of the firm pad at 12 Hz are merged; one touch fewer of the soft pad is split.
+# two more pauses of the firm pad at 12 Hz are merged, and one touch fewer of the soft pad is split, or six if
+# the network never met that pad.
 RISE_SHARE, RISE_COUNTS = 0.2, 10.0
 # What a light hand makes. The network is asked about quiet frames with less, on a pad that it knows well
 # about others too.

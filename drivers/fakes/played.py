@@ -71,7 +71,7 @@ def stroke(rng: RandomState) -> Path:
 
 
 def to_and_fro(least_hz: float, most_hz: float, least: float, most: float) -> Callable[[RandomState], Path]:
-    """Return paths to and fro at such a pace, up to so many taxels from the middle."""
+    """Return back-and-forth paths; pace in Hz and reach in taxels are drawn from these ranges."""
 
     def make(rng: RandomState) -> Path:
         (row, column), heading = middle(rng), up_or_down(rng)

@@ -44,8 +44,8 @@ BOTH_WAYS, SELDOM_AT_REST = 0.6, 0.25
 # A frame's cells differ from the next frame's by less than this share of how they move in all (squares): by
 # 0.03 in 19 of 20 of these touches. Bytes of larger numbers, signed bytes and two pads by turns exceed it.
 JUMPY = 0.6
-# Two bytes are no number if more steps than this share are leaps of the upper byte alone: 0.01 in generated
-# frames of u16 and i16, 0.7 in those of half floats and of low and high bytes apart.
+# Two bytes are not one number if in more than this share of steps the upper byte leaps alone: 0.01 in
+# generated frames of u16 and i16, 0.7 in those of half floats and of low and high bytes apart.
 FEW_LEAPS = 0.3
 # A byte that wraps steps by more than this. In generated frames of low bytes, 97 % of such steps wrap; in
 # those of u8 cells, 7 % look like it.

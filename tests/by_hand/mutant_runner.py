@@ -3,7 +3,7 @@
 It collects the tests once, and runs them once to see which lines of the module each of them reaches. For each
 mutant it forks: the child exchanges the module's code for the mutant's and runs the tests that reach the
 changed line until one fails, those first that caught other mutants or are quick. A mutant outside functions
-and constants, as of a setting's bound, needs every module anew; the child then starts pytest again.
+and constants, such as a bound of a setting, needs all modules reloaded; the child then starts a new pytest.
 """
 
 import ast

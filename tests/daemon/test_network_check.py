@@ -42,7 +42,7 @@ def test_an_answer_that_saw_a_touch_is_asked_for_again() -> None:
 
 
 class Answers:
-    """A network that gives these answers in turn, and the last one from then on."""
+    """A network that gives these answers in turn, then repeats the last one."""
 
     def __init__(self, *answers: float) -> None:
         self.left = list(answers)

@@ -2,8 +2,8 @@
 
 Each constant is halved and doubled while a sample of the studies is played; the table lists the figures that
 move by half a point. One of SAMPLE sessions and streams is played, so half a point is less than one touch: a
-figure that moves is a hint, one that does not is no proof. What is measured is stored, so that an interrupted
-run goes on. Values computed when a module is imported, and defaults of settings, do not follow.
+figure that moves is a hint; one that stays proves nothing. Results are stored, so an interrupted run resumes.
+Values computed when a module is imported, and defaults of settings, do not follow.
 """
 
 import logging
