@@ -59,10 +59,8 @@ LEAVING_FRAMES = 108
 GLANCE_FRAMES = 36
 
 # Maybe.
-# Contact that only a hand makes: this much, and this many times the untouched pad's peak. Without the latter,
-# 1 % more touches of the still robot are split under hum.
+# Contact that only a hand makes. A peak of the untouched pad cannot reach it: MOST_RESTLESS is a third.
 FIRM_COUNTS = 60.0
-FIRM_RESTLESS = 3.0
 # A baseline shift is over in two frames; a hand goes on moving, by this many counts summed over the pad.
 STEP_FRAMES = 2
 MOVED_COUNTS = 6.0
@@ -389,8 +387,7 @@ class TouchTracker:
 
         movement = maybe.moved / max(MOVED_COUNTS, RESTLESS_FACTOR * self._restless)
         may_breathe = waited > SURE_FRAMES and self._network.is_there
-        is_firm = contact >= max(FIRM_COUNTS, FIRM_RESTLESS * self._restless)
-        is_sure = is_firm or (movement >= SURE_MOVEMENT and not may_breathe)
+        is_sure = contact >= FIRM_COUNTS or (movement >= SURE_MOVEMENT and not may_breathe)
         if is_sure or self._is_light_touch(waited, movement):
             return self._begin(self._first_frame(maybe))
         if waited and (brief := self._brief_touch(beyond_one_wire(self._above(rise)))) is not None:
