@@ -19,6 +19,7 @@ from paho.mqtt.reasoncodes import ReasonCode
 from touchd.daemon.bridges.bridge import (
     MOST_FRAMES,
     POLL_S,
+    TRIES,
     Allowance,
     BridgeError,
     ConnectedBridge,
@@ -40,6 +41,8 @@ FIRST_BYTES, ACKNOWLEDGEMENT_BYTES, OTHERS_BYTES_PER_S = 16 * 1024, 64, 64.0
 LONGEST_RECEIVED = 8192
 # State and announcement are published again at this interval: a broker may have lost what it retained.
 AGAIN_S = 120.0
+# After this time, sizes that seemed too large for a broker of MQTT 3.1.1 are tried again.
+DOUBT_S = 600.0
 # A broker that passes nothing back must not make this grow.
 MOST_ECHOES = 100
 STOPPED, LOST = "stopped", "lost"
@@ -163,6 +166,10 @@ class MqttBridge(BrokerConnection):
         self._state = "down"
         # Own states that the broker has not passed back, maybe over the next connection.
         self._echoes: deque[str] = deque(maxlen=MOST_ECHOES)
+        # Connections in a row that ended over an event, and what a broker of MQTT 3.1.1, which cannot say
+        # it, seems to take at most, until when.
+        self._ends, self._longest_taken = 0, 0
+        self._seems_longest, self._seems_until_s = 0, -math.inf
         # With the topic, as each pad has a connection of its own.
         where = f"{settings.host}:{settings.port} ({self._topic})"
         super().__init__(settings, [pad], settings.pressure_hz, where)
@@ -204,7 +211,9 @@ class MqttBridge(BrokerConnection):
         payload = encode(event)
         if not self._fits(client, f"{self._topic}/event", payload, kind_of(event)):
             return True
-        return self._await(client, client.publish(f"{self._topic}/event", payload, qos=1))
+        is_taken = self._await(client, client.publish(f"{self._topic}/event", payload, qos=1))
+        self._learn(client, _size(f"{self._topic}/event", payload, qos=1), is_taken)
+        return is_taken
 
     def send_frame(self, frame: Frame, pad: str) -> None:
         client = self._client
@@ -258,7 +267,8 @@ class MqttBridge(BrokerConnection):
         client.takes_announcement = self._fits(client, topic, payload, "announcement to Home Assistant")
         if client.takes_announcement:
             client.allowance.sent(len(topic) + len(payload))
-            client.publish(topic, payload, qos=1, retain=True)
+            info = client.publish(topic, payload, qos=1, retain=True)
+            client.announced = info, _size(topic, payload, qos=1)
 
     def _publish_state(self, client: "Client") -> mqtt.MQTTMessageInfo:
         client.allowance.sent(len(self._state_topic) + len(self._state))
@@ -267,13 +277,30 @@ class MqttBridge(BrokerConnection):
 
     def _fits(self, client: "Client", topic: str, payload: bytes, what: str, qos: int = 1) -> bool:
         """Whether the broker takes a message of this size; one that is too large is counted as refused."""
-        # The topic with its length, the packet's number and properties, then the fixed header.
-        rest = 2 + len(topic.encode()) + (2 if qos else 0) + 1 + len(payload)
-        size = 1 + -(-rest.bit_length() // 7) + rest
-        if client.longest_packet is None or size <= client.longest_packet:
+        size, longest = _size(topic, payload, qos), client.longest_packet
+        if longest is None and time.monotonic() < self._seems_until_s:
+            longest = self._seems_longest
+        if longest is None or size <= longest:
             return True
-        self._note_refused(f"{what}: {size} bytes, and the broker takes {client.longest_packet} at most")
+        self._note_refused(f"{what}: {size} bytes, and the broker takes {longest} at most")
         return False
+
+    def _learn(self, client: "Client", size: int, is_taken: bool) -> None:
+        """Find out from connections that end what a broker takes that cannot say it."""
+        self._ends = 0 if is_taken else self._ends + 1
+        if is_taken:
+            self._longest_taken = max(self._longest_taken, size)
+        if self._ends < TRIES or self._version == MQTTProtocolVersion.MQTTv5:
+            return
+        # The announcement was sent first, and is longer.
+        if client.announced is not None and not client.announced[0].is_published():
+            size = client.announced[1]
+        self._ends = 0
+        # Not over the size if the broker has taken as much before.
+        if size > self._longest_taken:
+            # A good step down, since each further one costs more connections.
+            self._seems_longest = max(self._longest_taken, size * 3 // 4)
+            self._seems_until_s = time.monotonic() + DOUBT_S
 
     def _await(self, client: "Client", info: mqtt.MQTTMessageInfo) -> bool:
         """Wait until the broker has acknowledged or refused a message; False if the connection ends first."""
@@ -291,7 +318,7 @@ class Client(mqtt.Client):
     """A paho client for one connection.
 
     why: reason for its end. frames: not yet written by paho. again_s: when state and announcement are due.
-    longest_packet: that the broker takes, None: any.
+    longest_packet: that the broker takes, None: any. announced: the announcement and its size.
     """
 
     def __init__(self, name: str, version: MQTTProtocolVersion) -> None:
@@ -301,6 +328,7 @@ class Client(mqtt.Client):
         self.again_s = math.inf
         self.longest_packet: int | None = None
         self.takes_announcement = True
+        self.announced: tuple[mqtt.MQTTMessageInfo, int] | None = None
         self.frames: deque[mqtt.MQTTMessageInfo] = deque()
         self.was_greeted = self.has_ended = False
         self.why = ""
@@ -328,6 +356,12 @@ class Client(mqtt.Client):
             self.why = "the connection was closed"
         elif not self.why:
             self.why = "the connection was closed before a greeting: is it a broker, and does it want TLS?"
+
+
+def _size(topic: str, payload: bytes, qos: int) -> int:
+    # The topic with its length, the packet's number and properties, then the fixed header.
+    rest = 2 + len(topic.encode()) + (2 if qos else 0) + 1 + len(payload)
+    return 1 + -(-rest.bit_length() // 7) + rest
 
 
 def _words(code: ReasonCode, properties: Properties | None) -> str:

@@ -118,6 +118,8 @@ def _network_address(port: str) -> tuple[str, str, int] | None:
         if re.fullmatch(r"socket://[^:]*", port):
             raise ValueError("gives no port; write it as in socket://192.168.1.20:4000")
         return None
+    if re.fullmatch(r"(tcp|udp)://([^\s:/@]+|\[[^\s\]]+\]):?", port):
+        raise ValueError(f"lacks its port; write it as in {port.rstrip(':')}:4000")
     match = ADDRESS.fullmatch(port)
     if match is None or int(match[3]) > 65535:
         raise ValueError("not an address such as tcp://192.168.1.20:4000 or udp://0.0.0.0:4000")

@@ -29,7 +29,7 @@ from touchd.daemon.config import PadSettings, SceneSettings, Settings
 from touchd.daemon.events import SensorEvent, decode, encode
 from touchd.daemon.parts import bridges_to_others
 
-pytest.importorskip("paho.mqtt")
+MQTTv311 = pytest.importorskip("paho.mqtt.client").MQTTv311
 pytestmark = needs_mosquitto
 
 MODELS = {"pad": Scripted()}
@@ -490,6 +490,25 @@ def test_what_the_broker_cannot_take_is_dropped_at_once(
         bridge.stop(2.0)
     assert "the broker takes 250 at most" in caplog.text
     assert "is away" not in caplog.text
+
+
+def test_a_broker_that_cannot_say_its_limit_does_not_lose_the_small_events(tmp_path: Path) -> None:
+    port = free_port()
+    lines = "allow_anonymous true\nmax_packet_size 250\n"
+    with broker(tmp_path, port, lines), subscribed(port, "touchd/pad/event") as messages:
+        (bridge,) = made(port, discovery="homeassistant")
+        # As after a broker has refused MQTT 5.
+        vars(bridge)["_version"] = MQTTv311
+        bridge.start()
+        try:
+            for number in range(1, 21):
+                bridge.put(PREDICTION)
+                bridge.put(touch(number))
+            wait_for(lambda: len(messages) == 20)
+            # Three over the announcement; not three over each prediction.
+            assert bridge._connection_number <= 7
+        finally:
+            bridge.stop(2.0)
 
 
 def test_a_return_of_the_broker_is_said_once(

@@ -231,6 +231,10 @@ def test_an_internal_error_is_one_line_and_exit_1(
         ("sensor: {port: /etc/hostname}", "/etc/hostname is not a serial port"),
         ("sensor: {port: 'nonsense://x'}", "nonsense://x cannot be opened"),
         ("sensor: {port: 'udp://127.0.0.1:70000'}", "not an address such as tcp://192.168.1.20:4000"),
+        (
+            "sensor: {port: 'tcp://nao'}",
+            "tcp://nao cannot be opened: lacks its port; write it as in tcp://nao:4000",
+        ),
         ("sensor: {port: 'socket://pad.local'}", "gives no port; write it as in socket://192.168.1.20:4000"),
         ("journal: {path: /nowhere/events.jsonl}", "journal /nowhere/events.jsonl: cannot be written"),
         ("robot: {url: nao.local}", "not an address such as tcp://nao.local:9559"),
