@@ -338,3 +338,64 @@ def test_beside_an_object_the_network_is_asked_about_light_contact(
     beside[:, 5:8, 0:3] += palm(32 / 54, 4.0)[:, 2:5, 3:6]
     (onset,) = seen.feel(beside)
     assert abs(onset.first_index - began) <= 2
+
+
+def swaying(seconds: float, counts: float) -> Scans:
+    """A load that moves by little more than what counts as still."""
+    scans = palm(seconds, counts, trembling=False)
+    scans[:, 2:5, 3:6] += 1.5 * np.sin(np.arange(len(scans), dtype=np.float32) / 9)[:, None, None]
+    return scans
+
+
+@pytest.mark.parametrize("shift", range(0, 18, 3))
+def test_the_network_ends_a_touch_once_it_saw_three_seconds_without_a_hand(
+    seen: TrackedPad, shift: int
+) -> None:
+    # The last seconds, a third of a second apart; none holds what came before the touch.
+    seen.feel(nothing(shift / 54))
+    (onset,) = seen.feel(palm(4 / 54, 16.0), swaying(1.4, 7.0))
+    assert isinstance(onset, Onset)
+    (release,) = seen.feel(swaying(0.6, 7.0))
+    assert isinstance(release, Release)
+
+
+def test_on_a_pad_it_hardly_knows_the_network_prolongs_nothing_heavy(network: Network) -> None:
+    network.no_touch = 0.6
+    pad = TrackedPad(p_no_touch=network)
+    pad.feel(3.0)
+    network.no_touch = 0.02
+    pad.feel(palm(1.5, 60.0))
+    left = pad.index
+    (release,) = pad.feel(swaying(1.0, 16.0))
+    assert abs(release.last_index - left) <= 2
+
+
+def test_an_object_that_became_rest_is_no_hand_even_if_the_network_sees_one_later(
+    seen: TrackedPad, network: Network
+) -> None:
+    network.no_touch = 0.3
+    _, release = seen.touched(palm(11.0, counts=60.0, trembling=False))
+    assert release.reason == "settled"
+    network.no_touch = 0.02
+    assert seen.feel(palm(5.0, counts=60.0, trembling=False)) == []
+
+
+def test_a_light_touch_just_after_an_object_became_rest_is_detected(pad: TrackedPad) -> None:
+    box = palm(11.0, counts=200.0, trembling=False)
+    pad.touched(box)
+    began, beside = pad.index, box[:36].copy()
+    beside[:, 5:8, 0:3] += np.linspace(3.0, 6.3, 36, dtype=np.float32)[:, None, None]
+    (onset,) = pad.feel(beside)
+    assert abs(onset.first_index - began) <= 5
+
+
+def test_a_pad_that_reads_less_is_at_rest_again_after_half_a_second(pad: TrackedPad) -> None:
+    pad.rest += 30
+    pad.feel(2.0)
+    pad.rest -= 20
+    before = pad.tracker.baseline.counts.mean()
+    # The median delays by a frame.
+    pad.feel(nothing(27 / 54))
+    assert before - pad.tracker.baseline.counts.mean() < 1.0
+    pad.feel(nothing(1 / 54))
+    assert before - pad.tracker.baseline.counts.mean() == pytest.approx(20.0, abs=1.0)
