@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 import msgspec
 import numpy as np
 
-from touchd.drivers.frame import MIN_RATE_HZ
 from touchd.drivers.pad.arrived import has_text, is_text, looks_like
 from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.search import binary, text
@@ -139,10 +138,6 @@ def _why_none_fits(arrived: Arrived, seen: Survey | None, grid: Grid | None) -> 
 def _proven(best: Placement, arrived: Arrived, saw: str) -> Finding:
     """Return the description of a placement, with its proof or what the proof is missing."""
     described = scaled(best)
-    rate_hz = len(best.values) / arrived.seconds
-    if rate_hz < MIN_RATE_HZ:
-        too_slow = f"{rate_hz:.1f} frames/s come; {MIN_RATE_HZ:g} or more are needed"
-        return Finding(None, too_slow, saw, described)
     if missing := objection(best) or unscaled(described, best.values):
         return Finding(None, missing, saw, described, may_come=True)
     if arrived.lines is None:
