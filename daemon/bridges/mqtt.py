@@ -208,11 +208,11 @@ class MqttBridge(BrokerConnection):
             return False
         if isinstance(event, SensorEvent):
             self._publish_state(client)
-        payload = encode(event)
-        if not self._fits(client, f"{self._topic}/event", payload, kind_of(event)):
+        topic, payload = f"{self._topic}/event", encode(event)
+        if not self._fits(client, topic, payload, kind_of(event)):
             return True
-        is_taken = self._await(client, client.publish(f"{self._topic}/event", payload, qos=1))
-        self._learn(client, _size(f"{self._topic}/event", payload, qos=1), is_taken)
+        is_taken = self._await(client, client.publish(topic, payload, qos=1))
+        self._learn(client, _size(topic, payload, qos=1), is_taken)
         return is_taken
 
     def send_frame(self, frame: Frame, pad: str) -> None:

@@ -59,7 +59,7 @@ LEAVING_FRAMES = 108
 GLANCE_FRAMES = 36
 
 # Maybe.
-# Contact that only a hand makes. A peak of the untouched pad cannot reach it: MOST_RESTLESS is a third.
+# Contact that only a hand makes.
 FIRM_COUNTS = 60.0
 # A baseline shift is over in two frames; a hand goes on moving, by this many counts summed over the pad.
 STEP_FRAMES = 2

@@ -166,10 +166,11 @@ def _uneven(came_s: Numbers, first_s: float, last_s: float) -> str:
     first_s += UNTIL_DATED * (last_s - first_s)
     came_s = came_s[came_s >= first_s]
     parts, _ = np.histogram(came_s, PARTS, (first_s, last_s))
-    rate_hz = max(len(came_s) - 1, 0) / max(float(np.ptp(came_s)) if len(came_s) else 0.0, 1e-3)
+    gaps_s = np.diff(came_s)
+    rate_hz = len(gaps_s) / max(float(gaps_s.sum()), 1e-3)
     if not MIN_RATE_HZ <= rate_hz <= FASTEST_HZ:
         return f"{rate_hz:.1f} frames/s come; {MIN_RATE_HZ:g} to 500 are needed"
     is_uneven = UNEVEN * parts.min() < np.median(parts) or parts.max() > UNEVEN * np.median(parts)
-    if is_uneven or np.diff(came_s).max(initial=0) > LONGEST_PAUSE_S:
+    if is_uneven or gaps_s.max(initial=0) > LONGEST_PAUSE_S:
         return "frames do not come at a steady rate, or only while the pad is pressed"
     return ""
