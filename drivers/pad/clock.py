@@ -241,7 +241,7 @@ class ClockCheck:
         elif first.host_s - since_s >= FOLLOWED_S and first.host_s - self._jumped_s >= LATELY_S:
             later_ms = max(1, round(1000 * (first.host_s - last.host_s)))
             self._ahead_ms += last.sensor_ms + later_ms - first.sensor_ms
-            self._counts.restarted(first.host_s)
+            self._counts.restarted()
 
     def _deliver(self, run: list[Reading]) -> list[Reading]:
         self._last = run[-1]

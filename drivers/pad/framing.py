@@ -1,13 +1,12 @@
 """What every parser shares: the count of what was refused, and frames before their clock is judged."""
 
-import math
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 from touchd.drivers.frame import Counts
 
-# A boot log and the clock's step back within this time are one restart.
-ONE_RESTART_S = 2.0
+# Signs of a restart with fewer frames between them are one: a register dump, a boot log, the clock's step back.
+ONE_RESTART_FRAMES = 54
 
 Damage = Literal["bad_framing", "bad_value", "bad_checksum", "bad_time"]
 
@@ -21,8 +20,7 @@ class ProtocolCounts:
     header, garbage, a malformed line). bad_checksum, bad_value (a float that is not a number), bad_time
     (disagrees with the sensor's clock): frames refused for that. duplicates: frames that repeat a clock
     already taken. clipped: frames delivered whose values above full scale were cut to it. bytes_dropped:
-    bytes that belong to no well-formed frame. restarts: of the board, at most one in ONE_RESTART_S, at
-    `restarted_s` the last time.
+    bytes that belong to no well-formed frame. restarts: of the board; the last began at frame restarted_at.
     """
 
     frames: int = 0
@@ -34,7 +32,7 @@ class ProtocolCounts:
     clipped: int = 0
     bytes_dropped: int = 0
     restarts: int = 0
-    restarted_s: float = -math.inf
+    restarted_at: int = -ONE_RESTART_FRAMES
 
     @property
     def bad(self) -> int:
@@ -46,11 +44,11 @@ class ProtocolCounts:
         setattr(self, damage, getattr(self, damage) + 1)
         self.bytes_dropped += dropped
 
-    def restarted(self, host_s: float) -> None:
-        """Count a restart of the board that was noticed at `host_s`."""
-        if host_s - self.restarted_s > ONE_RESTART_S:
+    def restarted(self) -> None:
+        """Count a restart of the board, of which a sign was seen now."""
+        if self.frames - self.restarted_at >= ONE_RESTART_FRAMES:
             self.restarts += 1
-            self.restarted_s = host_s
+            self.restarted_at = self.frames
 
 
 class Reading(NamedTuple):

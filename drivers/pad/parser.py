@@ -40,7 +40,7 @@ class FrameParser(ABC):
         self._tail = latest[1 - LONGEST_MARK :]
         for mark in BOOT_LOG:
             if mark in latest:
-                self.counts.restarted(host_s)
+                self.counts.restarted()
         readings = self._parse(data, host_s)
         first = self.counts.frames
         self.counts.frames += len(readings)

@@ -112,6 +112,21 @@ def test_a_board_that_often_restarts_is_reported(
     assert "supply" in line
 
 
+@pytest.mark.parametrize("described", [FABRIC, CSV, WITHOUT_CLOCK], ids=["binary", "text", "rows"])
+def test_a_long_register_dump_and_the_boot_log_after_it_are_one_restart(described: PadFormat) -> None:
+    parser, still, now_s = parser_of(described), MadePad().counts(nothing(3.0)), 100.0
+    for number in range(3 * len(still)):
+        clock_ms = 7 + 1000 * (number % len(still)) // 54
+        if number in (len(still), 2 * len(still)):
+            first, *dump, last = CRASH.splitlines(keepends=True)
+            for line in (first, *dump * 10, last, *dump, b"rst:0xc (SW_CPU_RESET)\r\n"):
+                now_s += 0.05
+                parser.feed(line, now_s)
+        now_s += 1 / 54
+        parser.feed(encode_frame(described, still[number % len(still)], clock_ms), now_s)
+    assert parser.counts.restarts == 2
+
+
 def test_a_board_that_rarely_restarts_is_not_degraded(classifier: Classifier) -> None:
     board = Board(CSV, 40.0, CRASH).feel(classifier, nothing(130.0))
     assert board.parser.counts.restarts == 3

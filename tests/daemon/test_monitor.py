@@ -346,7 +346,7 @@ def test_a_pad_that_often_restarts_is_degraded_until_it_is_steady(every_s: float
     monitor = PadMonitor(parser=parser, where="COM3")
     for tenth in range(1400):
         if tenth in (10, 10 + 10 * every_s, 10 + 20 * every_s):
-            parser.counts.restarted(tenth / 10)
+            parser.counts.restarts += 1
         states.append(monitor.on_frame(Frame(0, 100 * tenth, tenth / 10, still), restarted=False))
     told = [(state.state, state.cause) for state in states if state is not None]
     assert told == ([("degraded", "restarts"), ("up", "")] if is_often else [])
