@@ -151,6 +151,9 @@ class Sensor:
             if data:
                 byte_s = now_s
                 self._silent_openings = 0
+                if not recent:
+                    # The first of these bytes may be half a frame, or frames whose clock is not yet known.
+                    reported_s = now_s
                 recent = (recent + data)[-RECENT_BYTES:]
                 if self._hand_over(data, now_s):
                     frame_s, recent = now_s, b""
@@ -163,8 +166,9 @@ class Sensor:
             if now_s - byte_s > self._reopen_after_s or now_s - frame_s > self._frameless_s:
                 return
             if now_s - max(frame_s, reported_s) > self._silence_s:
-                reported_s = now_s
-                self._report_no_frames(recent, is_silent=now_s - byte_s > self._silence_s)
+                reported_s, is_silent = now_s, now_s - byte_s > self._silence_s
+                self._report_no_frames(recent, is_silent=is_silent)
+                recent = b"" if is_silent else recent
 
     def _hand_over(self, data: bytes, host_s: float) -> bool:
         """Parse what arrived at `host_s`; return whether it completed a frame."""

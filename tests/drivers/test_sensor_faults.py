@@ -65,6 +65,18 @@ def test_a_pad_with_a_constant_first_number_is_never_down() -> None:
         next_frames(queue, 30)
 
 
+def test_a_board_that_starts_late_and_counts_microseconds_is_not_called_another_pad(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    # As an Arduino does: opening the port restarts it, and its boot loader takes a second or two.
+    def late(counts: Counts, sensor_ms: int) -> bytes:
+        return encode_csv_line(counts, 1000 * sensor_ms) if sensor_ms > 2200 else b""
+
+    with FakePort(stream_of(), late) as port, sensing(port.path, CsvLines(), silence_s=2.0) as queue:
+        next_frames(queue, 30)
+    assert "no frame" not in caplog.text
+
+
 def test_a_long_silent_port_is_reopened() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         server.settimeout(WITHIN_S)
