@@ -268,7 +268,8 @@ class MqttBridge(BrokerConnection):
         if client.takes_announcement:
             client.allowance.sent(len(topic) + len(payload))
             info = client.publish(topic, payload, qos=1, retain=True)
-            client.announced = info, _size(topic, payload, qos=1)
+            if info.rc == MQTTErrorCode.MQTT_ERR_SUCCESS:
+                client.announced = info, _size(topic, payload, qos=1)
 
     def _publish_state(self, client: "Client") -> mqtt.MQTTMessageInfo:
         client.allowance.sent(len(self._state_topic) + len(self._state))
@@ -278,11 +279,12 @@ class MqttBridge(BrokerConnection):
     def _fits(self, client: "Client", topic: str, payload: bytes, what: str, qos: int = 1) -> bool:
         """Whether the broker takes a message of this size; one that is too large is counted as refused."""
         size, longest = _size(topic, payload, qos), client.longest_packet
+        how = "takes"
         if longest is None and time.monotonic() < self._seems_until_s:
-            longest = self._seems_longest
+            longest, how = self._seems_longest, "ended connections over larger ones, so perhaps takes"
         if longest is None or size <= longest:
             return True
-        self._note_refused(f"{what}: {size} bytes, and the broker takes {longest} at most")
+        self._note_refused(f"{what}: {size} bytes, and the broker {how} {longest} at most")
         return False
 
     def _learn(self, client: "Client", size: int, is_taken: bool) -> None:
