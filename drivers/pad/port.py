@@ -21,7 +21,7 @@ from touchd.drivers.pad.why_not import programs_at, shared, why_not_opened, why_
 READ_TIMEOUT_S = 0.1
 READ_BYTES = 65536
 
-ADDRESS = re.compile(r"(tcp|udp)://(\[[^\]]+\]|[^\s/:]+):(\d{1,5})")
+ADDRESS = re.compile(r"(tcp|udp|socket)://(\[[^\s\]]+\]|[^\s/:?]+)(?::(\d{0,5}))?")
 
 if typing.TYPE_CHECKING:
     from touchd.drivers.pad.network import NetworkPort
@@ -111,19 +111,18 @@ def _network_address(port: str) -> tuple[str, str, int] | None:
 
     Raises ValueError for an address that is malformed.
     """
-    if not port.startswith(("tcp://", "udp://")):
-        if port.startswith("rfc2217://"):
-            # pyserial reads it into a queue that has no limit.
-            raise ValueError("not supported; set the server to raw TCP and write tcp://HOST:PORT")
-        if re.fullmatch(r"socket://[^:]*", port):
-            raise ValueError("gives no port; write it as in socket://192.168.1.20:4000")
+    if port.startswith("rfc2217://"):
+        # pyserial reads it into a queue that has no limit.
+        raise ValueError("not supported; set the server to raw TCP and write tcp://HOST:PORT")
+    if not port.startswith(("tcp://", "udp://", "socket://")):
         return None
-    if re.fullmatch(r"(tcp|udp)://([^\s:/@]+|\[[^\s\]]+\]):?", port):
+    # pyserial takes options after a question mark.
+    match = ADDRESS.fullmatch(port.partition("?")[0] if port.startswith("socket") else port)
+    if match is not None and not match[3]:
         raise ValueError(f"lacks its port; write it as in {port.rstrip(':')}:4000")
-    match = ADDRESS.fullmatch(port)
     if match is None or int(match[3]) > 65535:
         raise ValueError("not an address such as tcp://192.168.1.20:4000 or udp://0.0.0.0:4000")
-    return match[1], match[2].strip("[]"), int(match[3])
+    return None if match[1] == "socket" else (match[1], match[2].strip("[]"), int(match[3]))
 
 
 def _read(fd: int) -> bytes:

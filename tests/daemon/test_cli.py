@@ -235,7 +235,7 @@ def test_an_internal_error_is_one_line_and_exit_1(
             "sensor: {port: 'tcp://nao'}",
             "tcp://nao cannot be opened: lacks its port; write it as in tcp://nao:4000",
         ),
-        ("sensor: {port: 'socket://pad.local'}", "gives no port; write it as in socket://192.168.1.20:4000"),
+        ("sensor: {port: 'socket://pad.local:'}", "lacks its port; write it as in socket://pad.local:4000"),
         ("journal: {path: /nowhere/events.jsonl}", "journal /nowhere/events.jsonl: cannot be written"),
         ("robot: {url: nao.local}", "not an address such as tcp://nao.local:9559"),
     ],
