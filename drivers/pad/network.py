@@ -13,6 +13,8 @@ log = logging.getLogger(__name__)
 
 CONNECT_S = 3.0
 MAX_BYTES = 65536
+# A server that is busy may say so before it closes the connection, as ser2net does.
+LONGEST_REFUSAL = 80
 # Over UDP, another board is read once the current one has sent no frame for GONE_S, or for TURN_S if it has
 # not sent any frame yet.
 GONE_S, TURN_S = 2.0, 0.5
@@ -37,7 +39,7 @@ class NetworkPort:
             except OSError:
                 self._socket.close()
                 raise
-        self._has_received = False
+        self._received = b""
         self._sender: Any = None
         self._until_s = 0.0
         self._sends_frames = False
@@ -58,14 +60,15 @@ class NetworkPort:
         if self.is_stream:
             if not data:
                 raise self._closed()
-            self._has_received = True
+            self._received = (self._received + data)[: LONGEST_REFUSAL + 1]
             return data
         if not self._follows(sender):
             return b""
         return _ended_lines(data) if is_text else data
 
     def _closed(self) -> ConnectionError:
-        return ConnectionResetError() if self._has_received else ClosedAtOnceError()
+        is_pad = self._sends_frames or len(self._received) > LONGEST_REFUSAL
+        return ConnectionResetError() if is_pad else ClosedAtOnceError(self._received)
 
     def keep_sender(self) -> None:
         """Note that what was read last completed a frame: its sender is the pad."""

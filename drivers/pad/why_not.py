@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 from touchd.drivers.errors import TouchdError
+from touchd.drivers.pad.arrived import looks_like
 
 NOT_THERE = {errno.ENOENT, errno.ENODEV, errno.ENXIO, errno.EIO, errno.ECONNREFUSED, errno.EHOSTUNREACH}
 NOT_ALLOWED = {errno.EACCES, errno.EPERM}
@@ -21,7 +22,14 @@ MOST_PROGRAMS = 3
 
 
 class ClosedAtOnceError(ConnectionError):
-    """The other end closed the connection before it sent a byte."""
+    """The other end closed the connection after it had sent nothing, or a few words.
+
+    sent: what it sent.
+    """
+
+    def __init__(self, sent: bytes = b"") -> None:
+        super().__init__()
+        self.sent = sent
 
 
 class SensorError(TouchdError):
@@ -38,6 +46,8 @@ class SensorError(TouchdError):
 def why_not_opened(port: str, error: Exception) -> SensorError:
     """Explain why opening or checking a port failed."""
     number = error.errno if isinstance(error, OSError) else None
+    if isinstance(error, ConnectionResetError):
+        return _closed_at_once(port, b"")
     if number in NOT_THERE:
         question = "is the pad's board switched on, and in this network?"
         if "://" not in port:
@@ -56,14 +66,19 @@ def why_not_opened(port: str, error: Exception) -> SensorError:
 def why_not_read(port: str, error: Exception) -> SensorError:
     """Explain why reading an opened port failed: the device, or the other end of the connection, is gone."""
     if isinstance(error, ClosedAtOnceError):
-        what = "took the connection and closed it without a byte: does it serve one program at a time, and is"
-        return SensorError("busy", f"{port} {what} another one connected?")
+        return _closed_at_once(port, error.sent)
     if "://" not in port:
         time.sleep(NODE_GONE_S)
         if os.path.exists(port):
             what = "hung up, and is there again: did its board restart, or its plug come loose?"
             return SensorError("missing", f"{port} {what}")
     return SensorError("missing", f"{port} went away: unplugged or switched off?")
+
+
+def _closed_at_once(port: str, sent: bytes) -> SensorError:
+    what = f"sent {looks_like(sent)}, and closed it" if sent else "closed it without a byte"
+    advice = "does it serve one program at a time, and is another one connected?"
+    return SensorError("busy", f"{port} took the connection and {what}: {advice}")
 
 
 def shared_by(port: str) -> SensorError | None:

@@ -21,7 +21,7 @@ from rigs.wait import wait_for
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.pad.port import SensorError, check_port, open_port
 from touchd.drivers.pad.sensor import FrameQueue, Sensor
-from touchd.drivers.pad.why_not import programs_at
+from touchd.drivers.pad.why_not import programs_at, why_not_opened
 
 STEAL = """
 import os, select, sys
@@ -103,6 +103,21 @@ def test_a_server_that_closes_at_once_is_told_from_a_lost_pad() -> None:
             assert next_state(queue).state == "up"
             connection.close()
             assert next_state(queue).reason == f"{address} went away: unplugged or switched off?"
+
+
+def test_a_server_that_says_that_it_is_busy_is_quoted() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        with sensing(address) as queue:
+            connection, _ = server.accept()
+            connection.sendall(b"Port already in use\r\n")
+            connection.close()
+            assert "sent text, such as 'Port already in use', and closed it: does it" in next_state(queue).reason
+
+
+def test_a_connection_that_is_reset_at_once_was_not_refused() -> None:
+    error = why_not_opened("tcp://pad:4000", ConnectionResetError(errno.ECONNRESET, "Connection reset by peer"))
+    assert "took the connection and closed it without a byte" in str(error)
 
 
 def test_a_port_that_hangs_up_but_is_there_is_not_unplugged(tmp_path: Path) -> None:
