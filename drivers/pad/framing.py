@@ -5,7 +5,7 @@ from typing import Literal, NamedTuple
 
 from touchd.drivers.frame import Counts
 
-# Signs of a restart with fewer frames between them are one: a register dump, a boot log, the clock's step back.
+# Signs of a restart with fewer frames between them are one: register dump, boot log, the clock's step back.
 ONE_RESTART_FRAMES = 54
 
 Damage = Literal["bad_framing", "bad_value", "bad_checksum", "bad_time"]

@@ -112,11 +112,15 @@ def test_a_server_that_says_that_it_is_busy_is_quoted() -> None:
             connection, _ = server.accept()
             connection.sendall(b"Port already in use\r\n")
             connection.close()
-            assert "sent text, such as 'Port already in use', and closed it: does it" in next_state(queue).reason
+            assert (
+                "sent text, such as 'Port already in use', and closed it: does it" in next_state(queue).reason
+            )
 
 
 def test_a_connection_that_is_reset_at_once_was_not_refused() -> None:
-    error = why_not_opened("tcp://pad:4000", ConnectionResetError(errno.ECONNRESET, "Connection reset by peer"))
+    error = why_not_opened(
+        "tcp://pad:4000", ConnectionResetError(errno.ECONNRESET, "Connection reset by peer")
+    )
     assert "took the connection and closed it without a byte" in str(error)
 
 
