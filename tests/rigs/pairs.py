@@ -55,7 +55,7 @@ def told_of(path: Path, classifier: Classifier) -> Told:
             )
     told = listener.hear_all(())
     refused = {
-        name: count for name, count in asdict(parser.counts).items() if isinstance(count, int) and count
+        name: count for name, count in asdict(parser.counts).items() if count and name != "restarted_at"
     }
     return [*told, {"type": "line", **refused, "clock": parser.clock.note}]
 
