@@ -160,8 +160,8 @@ class Pipeline:
         if touch.due and 0 <= AFTER_FRAMES - touch.off_frames <= UNHURRIED_FRAMES:
             # The hand may have left, and the answer to that comes soon.
             return False
-        until_due = (touch.due[0][0] if touch.due else touch.next_ongoing) - touch.length
-        return until_due > UNHURRIED_FRAMES and not touch.waits_until_sure
+        is_due = bool(touch.due) and touch.due[0][0] - touch.length <= UNHURRIED_FRAMES
+        return not is_due and not touch.waits_until_sure
 
     def on_frame(self, frame: Frame) -> None:
         laid = self._ring.push(frame)
