@@ -151,7 +151,7 @@ class Pipeline:
 
     @property
     def has_time(self) -> bool:
-        """Whether no answer is due within the next UNHURRIED_FRAMES; a change after the final one may wait."""
+        """Whether no answer is due within UNHURRIED_FRAMES; a change after the final one may wait."""
         if not self._tracker.is_settled(UNHURRIED_FRAMES):
             return False
         touch = self._touch
