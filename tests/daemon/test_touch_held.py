@@ -399,3 +399,50 @@ def test_a_pad_that_reads_less_is_at_rest_again_after_half_a_second(pad: Tracked
     assert before - pad.tracker.baseline.counts.mean() < 1.0
     pad.feel(nothing(1 / 54))
     assert before - pad.tracker.baseline.counts.mean() == pytest.approx(20.0, abs=1.0)
+
+
+def test_a_light_pat_that_is_noticed_late_ends_at_once_with_a_short_quiet_time() -> None:
+    def sees_what_varies(window: NDArray[np.float32]) -> float:
+        return 0.02 if np.ptp(window.mean(axis=(1, 2))) > 1.2 else 0.9
+
+    pad = TrackedPad(TouchSettings(quiet_s=0.1), p_no_touch=sees_what_varies)
+    pad.feel(3.0)
+    began = pad.index
+    # It is noticed a quarter of a second after it, when the quiet time has passed.
+    onset, release = pad.feel(np.full((6, 8, 8), 4.0, np.float32), nothing(0.4))
+    assert isinstance(onset, Onset)
+    assert isinstance(release, Release)
+    assert abs(release.last_index - (began + 6)) <= 2
+
+
+def test_the_network_is_not_asked_about_a_quiet_time_that_is_too_short(network: Network) -> None:
+    windows: list[int] = []
+
+    def notes(window: NDArray[np.float32]) -> float:
+        windows.append(len(window))
+        return network.no_touch
+
+    pad = TrackedPad(TouchSettings(quiet_s=0.2), p_no_touch=notes)
+    pad.feel(3.0)
+    network.no_touch = 0.02
+    pad.feel(palm(0.8, 60.0))
+    windows.clear()
+    (release,) = pad.feel(nothing(0.25))
+    assert isinstance(release, Release)
+    assert windows == []
+
+
+def test_nothing_is_settled_when_a_touch_may_end_any_moment() -> None:
+    pad = TrackedPad(TouchSettings(quiet_s=2.0))
+    pad.feel(2.0)
+    pad.feel(palm(1.0, 60.0))
+    pad.feel(nothing(1.9))
+    assert not pad.tracker.is_settled(8)
+
+
+def test_contact_that_rose_and_then_stays_becomes_rest(seen: TrackedPad) -> None:
+    before = seen.tracker.baseline.counts.mean()
+    slow = rising(70, 4.0)
+    stays = np.repeat(slow[-1:], 81, axis=0)
+    assert seen.feel(slow, stays) == []
+    assert seen.tracker.baseline.counts.mean() - before == pytest.approx(9 * 4.0 / 64, abs=0.1)
