@@ -25,9 +25,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.daemon.events import EndReason
-from touchd.daemon.tracker.baseline import SECOND_FRAMES, TAXELS, Baseline, LastSecond, Taxels
+from touchd.daemon.tracker.baseline import (
+    MAX_DEVIATION_COUNTS,
+    SECOND_FRAMES,
+    TAXELS,
+    Baseline,
+    LastSecond,
+    Taxels,
+)
 from touchd.daemon.tracker.loose_wire import LINES, LOOK_FRAMES, LooseWire
-from touchd.daemon.tracker.network_check import ASK_FRAMES, DOUBT, TOUCH, NetworkCheck, Question
+from touchd.daemon.tracker.network_check import ASK_FRAMES, DOUBT, NONE, TOUCH, NetworkCheck, Question
 from touchd.drivers.frame import FRAME_RATE_HZ, ROWS
 from touchd.drivers.pad.grid import GridFrame
 
@@ -55,8 +62,6 @@ RESTLESS_KEPT = 0.999
 MOST_RESTLESS = 20.0
 # After a touch, the peak of two quiet seconds (a breath) replaces the peak from when the hand left.
 LEAVING_FRAMES = 108
-# On a quiet pad the network is asked about the last two thirds of a second, else about the last second.
-GLANCE_FRAMES = 36
 
 # Maybe.
 # Contact that only a hand makes.
@@ -64,24 +69,14 @@ FIRM_COUNTS = 60.0
 # A baseline shift is over in two frames; a hand goes on moving, by this many counts summed over the pad.
 STEP_FRAMES = 2
 MOVED_COUNTS = 6.0
-# 4.5 times that movement within nine frames begins a touch; later it may be a body that breathes. Without
-# this rule, 1 % more touches of the robot are missed.
+# 4.5 times that movement within a third of a second begins a touch; later it may be a body that breathes.
+# Without this rule, 1 % more touches of the robot are missed.
 SURE_MOVEMENT = 4.5
-SURE_FRAMES = 9
-# Otherwise the network decides: about moving contact six times a second, from a third of a second on; about
-# still contact once, after a second. Below this p_no_touch it is a touch. With 0.3 for still contact, two
-# more of HAART's 495 touches are missed; with 0.6, nothing changes.
-LEAST_ASKED_FRAMES = 18
+# Then the network decides: about moving contact six times a second, about still contact once, after a second.
 ASK_MOVING_FRAMES = 9
-MOST_NO_TOUCH = 0.5
 # A quarter of a second after a rise has gone, the network is asked whether it was a touch. Without this rule,
 # 13 of 35 single pats of HAART are missed: they are light, or lift the whole pad as drift does.
 GONE_FRAMES = 13
-# Contact that rises by this factor within a second does not become rest: it is a slow press.
-RISING = 1.2
-# A touch is dated back to the start of the unbroken run of frames in which its taxels exceed rest by this.
-# Without this rule, 3 % fewer touches of the breathing robot are right.
-BACKDATE_COUNTS = 1.0
 
 # Touched.
 # Contact that is low and does not rise is what the hand has left: a fold, a material that creeps. Low: below
@@ -90,7 +85,7 @@ BACKDATE_COUNTS = 1.0
 LOW_SHARE = 0.5
 # It rises if it exceeds its lowest by this share of the same level, and by more than noise. With 0.1 and 6,
 # two more pauses of the firm pad at 12 Hz are merged, and one touch fewer of the soft pad is split, or six if
-# the network never met that pad.
+# the network never met that pad. Light contact that rises by this share in a second does not become rest.
 RISE_SHARE, RISE_COUNTS = 0.2, 10.0
 # What a light hand makes. The network is asked about quiet frames with less, on a pad that it knows well
 # about others too.
@@ -99,13 +94,13 @@ LIGHT_COUNTS = 80.0
 # this, 3 % more of the robot's touches are split. Elsewhere what a hug leaves looks like a hand to it.
 HUG_COUNTS = 1000.0
 # A taxel is still if the means of its half seconds differ by at most this, its sway, or what noise explains,
-# and its noise is at most MAX_SPREAD_COUNTS or a share of the load: a load with 2 % of noise is still.
-STILL_COUNTS = 0.9
-STILL_SWAYS = 1.2
+# and its noise is at most what an untouched pad may have or a share of the load: a load with 2 % of noise is
+# still. A touch is dated back to where its taxels begin to exceed rest by as much: without that, 3 % fewer
+# touches of the breathing robot are right.
+STILL_COUNTS = 1.0
 STILL_SPREADS = 0.8
-MAX_SPREAD_COUNTS = 4.0
 LOAD_NOISE = 0.03
-# Low and still for two thirds of a second, a touch is over, unless the network sees a light one.
+# Low and still for two thirds of a second, a touch is over, unless the network sees a light one in them.
 STILL_FRAMES = 36
 # A load that has kept still for ten seconds becomes rest. A touch ends after ten minutes.
 SETTLED_FRAMES = round(10 * FRAME_RATE_HZ)
@@ -360,12 +355,12 @@ class TouchTracker:
 
     def _ask_at_rest(self, quiet: Quiet) -> Onset | None:
         """Ask the network about a pad without contact: in some touches no taxel is above the noise."""
-        if self._index % ASK_FRAMES or quiet.frames < GLANCE_FRAMES or not self._network.is_there:
+        if self._index % ASK_FRAMES or quiet.frames < SECOND_FRAMES or not self._network.is_there:
             return None
-        is_seen = self._network.begins_touch(self._recent.last(GLANCE_FRAMES))
+        is_seen = self._network.begins_touch(self._recent.last(SECOND_FRAMES))
         if not is_seen or self._settings.onset_threshold > ONSET_COUNTS:
             return None
-        return self._begin(self._index - GLANCE_FRAMES - ASK_FRAMES)
+        return self._begin(self._index - SECOND_FRAMES - ASK_FRAMES)
 
     # Maybe.
 
@@ -386,7 +381,7 @@ class TouchTracker:
         maybe.moved = max(maybe.moved, float(np.maximum(np.abs(off) - self.baseline.noise_floor, 0).sum()))
 
         movement = maybe.moved / max(MOVED_COUNTS, RESTLESS_FACTOR * self._restless)
-        may_breathe = waited > SURE_FRAMES and self._network.is_there
+        may_breathe = waited > ASK_FRAMES and self._network.is_there
         is_sure = contact >= FIRM_COUNTS or (movement >= SURE_MOVEMENT and not may_breathe)
         if is_sure or self._is_light_touch(waited, movement):
             return self._begin(self._first_frame(maybe))
@@ -401,11 +396,11 @@ class TouchTracker:
 
     def _is_light_touch(self, waited: int, movement: float) -> bool:
         """Ask the network about light contact, sooner if it moves."""
-        if movement >= 1.0 and waited >= LEAST_ASKED_FRAMES:
+        if movement >= 1.0 and waited >= ASK_FRAMES:
             is_due = self._index % ASK_MOVING_FRAMES == 0
         else:
             is_due = waited == SECOND_FRAMES and self._network.is_there
-        return is_due and self._network.is_below(MOST_NO_TOUCH, self._recent.last(waited - STEP_FRAMES))
+        return is_due and self._network.is_below(NONE, self._recent.last(waited - STEP_FRAMES))
 
     def _brief_touch(self, rise: float) -> Onset | None:
         """Ask the network about a rise that has gone: a light pat, or one that lifts the whole pad.
@@ -429,7 +424,7 @@ class TouchTracker:
         drift = drift_of(maybe.before - self.baseline.counts)
         rest = self.baseline.counts[maybe.touched].mean() + drift
         before = self._recent.last(SECOND_FRAMES)[: maybe.since - self._index - 1, maybe.touched]
-        above = before.mean(axis=1) - rest >= BACKDATE_COUNTS
+        above = before.mean(axis=1) - rest >= STILL_COUNTS
         return maybe.since - (len(above) if above.all() else int(above[::-1].argmin()))
 
     def _begin(self, first: int, last: int | None = None) -> Onset:
@@ -459,7 +454,7 @@ class TouchTracker:
         if self._index - touch.first >= LONGEST_FRAMES:
             return self._end_at_new_rest(touch, "longest")
         if self._is_time_to_check and self._index - touch.first >= SECOND_FRAMES:
-            return self._check_end(touch, may_ask=not is_contact or quiet_frames <= 1)
+            return self._check_end(touch, may_ask=not is_contact or quiet_frames == 1)
         return None
 
     def _is_contact(self, touch: Touched, level: float) -> bool:
@@ -483,10 +478,10 @@ class TouchTracker:
 
     def _sees_light_touch(self, touch: Touched, level: float, quiet_frames: int) -> bool:
         """Ask the network about the quiet frames; if `quiet_s` is short, about no others."""
-        asked = self._recent.last(min(quiet_frames, GLANCE_FRAMES))
+        asked = self._recent.last(min(quiet_frames, STILL_FRAMES))
         is_light = level < LIGHT_COUNTS and touch.highest_level < HUG_COUNTS
-        may_ask = (is_light or self._network.knows_well) and len(asked) >= LEAST_ASKED_FRAMES
-        return may_ask and self._network.sees_touch(asked, MOST_NO_TOUCH)
+        may_ask = (is_light or self._network.knows_well) and len(asked) >= ASK_FRAMES
+        return may_ask and self._network.sees_touch(asked, NONE)
 
     def _check_end(self, touch: Touched, *, may_ask: bool) -> Release | None:
         """End the touch if the pad shows that nobody touches it, even above its baseline.
@@ -519,9 +514,9 @@ class TouchTracker:
         return self._end_at_new_rest(touch, "settled") if touch.still_frames >= SETTLED_FRAMES else None
 
     def _is_still(self, change: Taxels, spread: Taxels, rise: Taxels) -> bool:
-        allowed = np.maximum(STILL_SWAYS * self.baseline.sway, STILL_SPREADS * spread)
+        allowed = np.maximum(self.baseline.sway, STILL_SPREADS * spread)
         least = np.maximum(LOAD_NOISE * rise, STILL_COUNTS)
-        noise = np.maximum(LOAD_NOISE * rise, MAX_SPREAD_COUNTS)
+        noise = np.maximum(LOAD_NOISE * rise, MAX_DEVIATION_COUNTS)
         return bool((change <= np.maximum(allowed, least)).all() and (spread <= noise).all())
 
     def _end_at_residue(self, touch: Touched, level: float) -> Release:
@@ -575,7 +570,7 @@ class TouchTracker:
     def _is_rising(self) -> bool:
         """Whether contact has risen by a fifth within the last second, as in a slow press."""
         older, newer = (self._above(half - self.baseline.counts).sum() for half in self._recent.halves())
-        return bool(newer > RISING * older)
+        return bool(newer > (1 + RISE_SHARE) * older)
 
     def _smooth(self) -> Taxels:
         frames = self._recent.last(SMOOTH_FRAMES).copy()

@@ -5,8 +5,8 @@ import pytest
 from numpy.typing import NDArray
 from rigs.made_pad import MadePad, Scans, nothing, palm
 
+from touchd.daemon.tracker.baseline import SECOND_FRAMES
 from touchd.daemon.tracker.network_check import ASK_FRAMES, NetworkCheck
-from touchd.daemon.tracker.tracker import GLANCE_FRAMES
 
 
 def times_asked(pressure: Scans, p_no_touch: float = 0.9) -> int:
@@ -20,7 +20,7 @@ def times_asked(pressure: Scans, p_no_touch: float = 0.9) -> int:
 
     check = NetworkCheck(ask)
     for stop in range(54, len(frames) + 1, ASK_FRAMES):
-        check.begins_touch(frames[stop - GLANCE_FRAMES : stop])
+        check.begins_touch(frames[stop - SECOND_FRAMES : stop])
     return len(asked)
 
 
@@ -54,7 +54,7 @@ class Answers:
 
 def changing(number: int) -> NDArray[np.float32]:
     """Return frames that differ from the others by far."""
-    return np.full((GLANCE_FRAMES, 64), 10.0 * number, np.float32)
+    return np.full((SECOND_FRAMES, 64), 10.0 * number, np.float32)
 
 
 def check_with(*answers: float) -> NetworkCheck:
@@ -183,7 +183,7 @@ def test_without_a_network_light_contact_is_a_touch_and_rest_is_none() -> None:
 def test_a_pad_is_asked_about_again_if_it_reads_differently(rise: float, taxels: int, is_asked: bool) -> None:
     network = Answers(0.9, 0.02, 0.9)
     check = NetworkCheck(network)
-    still = np.full((GLANCE_FRAMES, 64), 10.0, np.float32)
+    still = np.full((SECOND_FRAMES, 64), 10.0, np.float32)
     check.begins_touch(still)
     read = still.copy()
     read[:, :taxels] += np.float32(rise)
@@ -191,11 +191,11 @@ def test_a_pad_is_asked_about_again_if_it_reads_differently(rise: float, taxels:
     assert (network.left == [0.02, 0.9]) != is_asked
 
 
-@pytest.mark.parametrize(("changed", "is_asked"), [(slice(0, 18), False), (slice(18, 36), True)])
+@pytest.mark.parametrize(("changed", "is_asked"), [(slice(0, 36), False), (slice(36, 54), True)])
 def test_only_the_newest_third_of_a_second_counts_as_new(changed: slice, is_asked: bool) -> None:
     network = Answers(0.9, 0.02, 0.9)
     check = NetworkCheck(network)
-    frames = np.full((GLANCE_FRAMES, 64), 10.0, np.float32)
+    frames = np.full((SECOND_FRAMES, 64), 10.0, np.float32)
     check.begins_touch(frames)
     later = frames.copy()
     later[changed] += 5.0

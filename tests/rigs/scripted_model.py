@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.daemon.tracker.baseline import SECOND_FRAMES
-from touchd.daemon.tracker.tracker import GLANCE_FRAMES
+from touchd.daemon.tracker.tracker import STILL_FRAMES
 from touchd.model.classifier import ModelState
 
 LABELS = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
@@ -28,7 +28,7 @@ class Scripted:
         self.stepped: list[NDArray[np.float32]] = []
 
     def probabilities(self, frames: NDArray[np.float32]) -> NDArray[np.float64]:
-        if len(frames) in (GLANCE_FRAMES, SECOND_FRAMES):
+        if len(frames) in (STILL_FRAMES, SECOND_FRAMES):
             return np.array([0.94 if label == "stroke" else 0.01 for label in LABELS])
         self.asked.append(frames)
         return self.answer()
