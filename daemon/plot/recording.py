@@ -119,16 +119,16 @@ def _rise(stream: Stream, restarts: NDArray[np.int64]) -> tuple[NDArray[np.float
     """Return (T, 8, 8) counts above rest, which may change when the pad restarts, and whether it is known."""
     is_quiet, is_own = np.zeros((2, len(stream.counts)), dtype=np.bool_)
     for span in stream.spans:
-        is_quiet[span.start : span.stop] = span.gesture == NO_TOUCH
-        is_own[span.start : span.stop] = not span.is_added
+        part = slice(span.start, span.stop)
+        # Quiet without noise is no pad's: it was made of each taxel's least reading.
+        is_quiet[part] = span.gesture == NO_TOUCH and np.ptp(stream.counts[part], axis=0).any()
+        is_own[part] = not span.is_added
     rise = stream.counts.astype(np.float64)
     is_known = True
     parts = (np.split(each, restarts) for each in (rise, is_quiet, is_own))
     for part, quiet, own in zip(*parts, strict=True):
-        # Quiet without noise is no pad's: it was made of each taxel's least reading.
-        is_real = quiet.any() and bool(np.ptp(part[quiet], axis=0).any())
-        part -= np.median(part[quiet], axis=0) if is_real else _lightest(part[own])
-        is_known &= is_real
+        part -= np.median(part[quiet], axis=0) if quiet.any() else _lightest(part[own])
+        is_known &= bool(quiet.any())
     return rise, is_known
 
 
@@ -190,10 +190,12 @@ def _draw_pressure(axes: Axes, traced: Trace, gestures: Sequence[str], begin_s: 
         start_s, stop_s = max(begin_s, traced.starts_s[number]), min(end_s, traced.ends_s(number))
         if start_s < stop_s:
             axes.axvspan(start_s, stop_s, color=PALE, linewidth=0, zorder=0)
-    for span in traced.stream.spans:
+    for span, after in zip(traced.stream.spans, [*traced.stream.spans[1:], None], strict=True):
         if span.is_added:
             continue
-        part = slice(max(span.start, first), min(span.stop, last) + 1)
+        # Up to the next recording, but not to a frame that nobody recorded.
+        joined = after is not None and not after.is_added
+        part = slice(max(span.start, first), min(span.stop + joined, last + 1))
         if len(load[part]) == 0:
             continue
         colour = colour_of(span.gesture, gestures)

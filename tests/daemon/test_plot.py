@@ -256,3 +256,16 @@ def test_rest_of_the_same_person_is_used(demo: Trace) -> None:
     assert beside.is_rest_known
     assert demo.is_rest_known
     assert beside.time_s[0] == pytest.approx(-4.0, abs=0.1)
+
+
+def test_several_recordings_without_rest_return_to_zero_too() -> None:
+    strokes = [simulate([("notouch", 2.0), ("stroke", 5.0)], seed=seed)[1] for seed in (4, 5)]
+    beside = traced(with_quiet(strokes, []))
+    assert not beside.is_rest_known
+    for span in (span for span in beside.stream.spans if not span.is_added):
+        load = beside.rise.sum(axis=(1, 2))[span.start : span.stop]
+        assert abs(np.quantile(load, 0.1)) < 15
+    figure = plot_recording.draw(beside, "a title")
+    drawn = [np.asarray(line.get_xdata()) for axes in figure.subfigs[0].axes for line in axes.lines]
+    # Nothing is drawn of the quiet that is played between them.
+    assert sum(len(line) for line in drawn if len(line) > 50) == sum(len(each.counts) for each in strokes)
