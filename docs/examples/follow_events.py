@@ -9,7 +9,7 @@ from pathlib import Path
 
 def touchd():
     """Return the program: on the PATH, beside this Python, or in this clone."""
-    clone = Path(__file__).resolve().parents[2] / ".venv/bin"
+    clone = Path(__file__).resolve().parent / "../../.venv/bin"
     for folder in (None, Path(sys.executable).parent, clone):
         if program := shutil.which("touchd", path=folder):
             return program

@@ -4,6 +4,7 @@ import os
 import re
 import signal
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -58,6 +59,15 @@ def test_the_event_iterator_without_touchd_says_so(tmp_path: Path, monkeypatch: 
     copy.write_bytes((EXAMPLES / "follow_events.py").read_bytes())
     done = ran([sys._base_executable, copy])  # type: ignore[attr-defined]
     assert done.returncode == 1
+    assert done.stderr.startswith("touchd is neither on the PATH nor in .venv")
+
+
+def test_the_event_iterator_can_be_copied_to_a_folder_of_the_root(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", "/usr/bin:/bin")
+    with tempfile.NamedTemporaryFile(dir="/tmp", suffix=".py") as copy:
+        copy.write((EXAMPLES / "follow_events.py").read_bytes())
+        copy.flush()
+        done = ran([sys._base_executable, copy.name])  # type: ignore[attr-defined]
     assert done.stderr.startswith("touchd is neither on the PATH nor in .venv")
 
 
