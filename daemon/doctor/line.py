@@ -170,9 +170,10 @@ def check_rate(sample: Sample) -> Check:
         "longest_wait_ms": round(float(waits_ms.max()), 1),
         "lost": float(pace.lost),
     }
+    by_clock = f"{pace.jitter_ms:.1f} ms by the pad's clock, " if sample.has_clock else ""
     found = (
-        f"{pace.rate_hz:.1f} frames/s, jitter {pace.jitter_ms:.1f} ms by the pad's clock, "
-        f"{figures['arrival_jitter_ms']:.1f} ms on arrival, longest wait {figures['longest_wait_ms']:.0f} ms"
+        f"{pace.rate_hz:.1f} frames/s, jitter {by_clock}{figures['arrival_jitter_ms']:.1f} ms on arrival, "
+        f"longest wait {figures['longest_wait_ms']:.0f} ms"
     )
     clock = clock_by_ours(sample.frames)
     if abs(clock - 1) > CLOCK_TOLERANCE:

@@ -24,7 +24,7 @@ class Sample:
 
     frames: in order. damaged: frames refused as damaged after the first intact one. chunks: the bytes,
     the latest megabyte. ended_s: when listening ended, `time.monotonic()`. broke_off: why the port went away,
-    "" if it did not.
+    "" if it did not. has_clock: whether the pad's clock dated the frames.
     """
 
     frames: tuple[Frame, ...]
@@ -32,6 +32,7 @@ class Sample:
     chunks: tuple[Chunk, ...]
     ended_s: float
     broke_off: str
+    has_clock: bool
 
     def counts(self) -> Counts:
         """Return the pressure of all frames, (T, 8, 8) uint16."""
@@ -82,4 +83,4 @@ def listen(
             frames.append(frame)
             is_enough |= enough(frame)
     damaged = parser.counts.bad - damaged_before if frames else 0
-    return Sample(tuple(frames), damaged, tuple(chunks), now_s, broke_off)
+    return Sample(tuple(frames), damaged, tuple(chunks), now_s, broke_off, parser.clock.dates_frames)

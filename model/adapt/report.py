@@ -38,7 +38,7 @@ def report_lines(adapted: Adapted, names: Mapping[str, str] = NO_NAMES) -> Itera
         f"by {_count(len(participants), 'participant')}"
     )
     if new:
-        yield f"New to the model: {', '.join(sorted(new))}"
+        yield f"New to the model: {_listed(sorted(new), names)}"
     if adapted.unlabelled:
         yield f"Passed over: {_count(adapted.unlabelled, 'saved touch', 'es')} without a label"
     comparison = adapted.comparison
@@ -51,11 +51,11 @@ def report_lines(adapted: Adapted, names: Mapping[str, str] = NO_NAMES) -> Itera
         yield ""
         yield from _in_passing(comparison.in_passing, names)
     yield ""
-    for warning in warnings(adapted):
+    for warning in warnings(adapted, names):
         yield from textwrap.wrap(f"! {warning}", WIDTH, subsequent_indent="  ")
 
 
-def warnings(adapted: Adapted) -> Iterable[str]:
+def warnings(adapted: Adapted, names: Mapping[str, str]) -> Iterable[str]:
     """Yield warnings to read before using the adapted model, a line each."""
     comparison = adapted.comparison
     gestures = Counter(recording.gesture for recording in adapted.recordings)
@@ -64,17 +64,17 @@ def warnings(adapted: Adapted) -> Iterable[str]:
     # Of one person it is always so, and the table's last column says how sure each figure is.
     if few and comparison.left_out == "participants":
         yield (
-            f"Fewer than {FEW_RECORDINGS} recordings of {', '.join(few)}: too few to tell how well they are "
-            "known."
+            f"Fewer than {FEW_RECORDINGS} recordings of {_listed(few, names)}: too few to tell how well they "
+            "are known."
         )
     people = {(recording.gesture, recording.participant) for recording in adapted.recordings}
     alone = sorted(gesture for gesture, who in Counter(gesture for gesture, _ in people).items() if who == 1)
     if comparison.left_out == "participants" and alone:
-        yield f"Only one participant did {', '.join(alone)}: no figure for other people."
+        yield f"Only one participant did {_listed(alone, names)}: no figure for other people."
     if gone := sorted(set(adapted.known) - set(adapted.labels)):
-        yield f"The new model no longer knows {', '.join(gone)}: record them too, or give --keep-all."
+        yield f"The new model no longer knows {_listed(gone, names)}: record them too, or give --keep-all."
     if lacking := [label for label in adapted.labels if label not in gestures]:
-        yield f"No recording of {', '.join(lacking)}: known from other people and pads only."
+        yield f"No recording of {_listed(lacking, names)}: known from other people and pads only."
 
 
 def _doubts(comparison: Comparison) -> Iterable[str]:
@@ -144,6 +144,10 @@ def _cells(row: Iterable[GestureFigures | LengthFigures | None]) -> str:
     """Return the accuracies before and after at each answer, "-" where one is missing."""
     pairs = [(None, None) if figures is None else (figures.before, figures.after) for figures in row]
     return "".join(f"  {_percent(before):>6} {_percent(after):>6}" for before, after in pairs)
+
+
+def _listed(gestures: Iterable[str], names: Mapping[str, str]) -> str:
+    return ", ".join(names.get(gesture, gesture) for gesture in gestures)
 
 
 def _percent(share: float | None) -> str:

@@ -2,6 +2,7 @@
 
 import termios
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import pytest
@@ -16,9 +17,10 @@ from touchd.daemon.config import SensorSettings
 from touchd.daemon.doctor.check import Check
 from touchd.daemon.doctor.line import check_damage, check_protocol, check_rate
 from touchd.daemon.doctor.listening import Sample, listen
+from touchd.drivers.fakes.encode import encode_frame
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import Frame
-from touchd.drivers.pad.format import PRESETS
+from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.pad.port import open_port
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.search.search import Finding, search
@@ -101,7 +103,7 @@ def test_a_wrong_clock_is_distinguished_from_a_slow_pad() -> None:
     def checked(step_ms: float, step_s: float, late_s: float = 0.0) -> Check:
         frames = [Frame(i, round(step_ms * i), step_s * i, np.zeros((8, 8), np.uint16)) for i in range(400)]
         frames[-1] = replace(frames[-1], host_s=frames[-1].host_s + late_s)
-        return check_rate(Sample(tuple(frames), 0, (), frames[-1].host_s, ""))
+        return check_rate(Sample(tuple(frames), 0, (), frames[-1].host_s, "", has_clock=True))
 
     clock = checked(18, 0.009, late_s=0.3)
     assert "its clock runs 2.00 times as fast" in clock.found
@@ -118,3 +120,15 @@ def test_a_wrong_clock_is_distinguished_from_a_slow_pad() -> None:
     useless = checked(140, 0.14)
     assert useless.verdict == "to do"
     assert "8 are needed" in useless.found
+
+
+@pytest.mark.parametrize("has_clock", [True, False])
+def test_jitter_by_the_pads_clock_is_reported_only_where_it_has_one(has_clock: bool) -> None:
+    described = PadFormat(framing="text", rows=8, columns=8, skip=1 if has_clock else 0)
+    with (
+        pad_of(resting(), partial(encode_frame, described)) as pad,
+        open_port(pad.path, 512_000) as opened,
+    ):
+        checked = check_rate(listen(opened, parser_of(described), 3.0))
+    assert ("by the pad's clock" in checked.found) == has_clock
+    assert "ms on arrival" in checked.found

@@ -373,6 +373,8 @@ def test_all_known_gestures_can_be_kept(pretrained: Pretrained, material: Featur
     assert adapted.labels == tuple(sorted({"hug", *pretrained.labels}))
     said = "No recording of constant, rub, tickle: known from other people and pads only."
     assert said in words(report_lines(adapted))
+    named = words(report_lines(adapted, {"constant": "still hand", "rub": "Reiben"}))
+    assert "No recording of still hand, Reiben, tickle: known from" in named
 
 
 def test_rehearsal_keeps_others_from_being_forgotten(pretrained: Pretrained, material: Features) -> None:
