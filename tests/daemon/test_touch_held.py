@@ -446,3 +446,43 @@ def test_contact_that_rose_and_then_stays_becomes_rest(seen: TrackedPad) -> None
     stays = np.repeat(slow[-1:], 81, axis=0)
     assert seen.feel(slow, stays) == []
     assert seen.tracker.baseline.counts.mean() - before == pytest.approx(9 * 4.0 / 64, abs=0.1)
+
+
+def test_a_touch_that_the_network_saw_ends_a_third_of_a_second_after_it_saw_it_last(
+    seen: TrackedPad, network: Network
+) -> None:
+    network.no_touch = 0.02
+    seen.feel(palm(1.0, 60.0))
+    assert seen.feel(nothing(50 / 54)) == []
+    network.no_touch = 0.9
+    (release,) = seen.feel(nothing(18 / 54))
+    assert isinstance(release, Release)
+
+
+def test_an_object_that_lies_still_does_not_count_as_sway(pad: TrackedPad) -> None:
+    pad.touched(palm(11.0, counts=200.0, trembling=False))
+    assert pad.tracker.baseline.sway.max() < 0.7
+
+
+def test_light_contact_that_rises_by_half_in_a_second_does_not_become_rest(seen: TrackedPad) -> None:
+    before = seen.tracker.baseline.counts.mean()
+    slow = palm(1.5, 0.0, trembling=False)
+    slow[:, 2:5, 3:6] = 4.0 * 1.6 ** (np.arange(len(slow), dtype=np.float32) / 54)[:, None, None]
+    assert seen.feel(slow) == []
+    assert seen.tracker.baseline.counts.mean() - before < 0.1
+
+
+def test_the_network_follows_a_touch_three_times_a_second(network: Network) -> None:
+    windows: list[int] = []
+
+    def notes(window: NDArray[np.float32]) -> float:
+        windows.append(len(window))
+        return network.no_touch
+
+    pad = TrackedPad(p_no_touch=notes)
+    pad.feel(nothing(110 / 54))
+    network.no_touch = 0.02
+    pad.feel(palm(2.0, 5.0))
+    windows.clear()
+    assert pad.feel(palm(2.0, 5.0)) == []
+    assert windows.count(54) == 6
