@@ -486,3 +486,35 @@ def test_the_network_follows_a_touch_three_times_a_second(network: Network) -> N
     windows.clear()
     assert pad.feel(palm(2.0, 5.0)) == []
     assert windows.count(54) == 6
+
+
+@pytest.mark.parametrize(("left", "ends"), [(120.0, True), (150.0, False)])
+def test_what_is_below_half_of_a_touch_less_a_light_hand_is_what_it_left(left: float, ends: bool) -> None:
+    pad = TrackedPad()
+    pad.rest = np.full((8, 8), 20.0)
+    pad.feel(2.0)
+    floor = 9 * pad.tracker.baseline.noise_floor.mean()
+
+    def load(seconds: float, contact: float) -> Scans:
+        return palm(seconds, (contact + floor) / 9, trembling=False)
+
+    # Half of 300 less 40 is 130. Still, and above a light hand, it would end later.
+    assert [type(change) for change in pad.feel(load(1.5, 300.0), load(0.95, left))] == (
+        [Onset, Release] if ends else [Onset]
+    )
+
+
+def test_a_touch_that_only_the_network_sees_is_asked_about_three_times_a_second() -> None:
+    windows: list[int] = []
+
+    def notes(window: NDArray[np.float32]) -> float:
+        windows.append(len(window))
+        return 0.9 if len(windows) < 8 else 0.02
+
+    pad = TrackedPad(p_no_touch=notes)
+    pad.feel(5.0)
+    windows[:] = [0] * 8
+    pad.feel(palm(0.9, 60.0), nothing(45 / 54))
+    windows[:] = [0] * 8
+    pad.feel(nothing(1.0))
+    assert 2 <= windows.count(36) <= 3
