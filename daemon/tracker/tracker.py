@@ -360,7 +360,7 @@ class TouchTracker:
         is_seen = self._network.begins_touch(self._recent.last(SECOND_FRAMES))
         if not is_seen or self._settings.onset_threshold > ONSET_COUNTS:
             return None
-        return self._begin(self._index - SECOND_FRAMES - ASK_FRAMES)
+        return self._begin(self._index - SECOND_FRAMES)
 
     # Maybe.
 
