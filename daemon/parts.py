@@ -35,7 +35,7 @@ from touchd.drivers.queue import Signal
 from touchd.drivers.robot.link import RobotLink
 from touchd.drivers.robot.session import OpenSession
 from touchd.drivers.robot.worker import LinkState
-from touchd.model.classifier import SHIPPED_MODEL, Classifier
+from touchd.model.classifier import Classifier
 
 if typing.TYPE_CHECKING:
     from touchd.daemon.bridges.bridge import Bridge
@@ -226,7 +226,12 @@ def bridges_to_others(
 
 def load_model(settings: Settings) -> Classifier:
     """Load the configured model; raises ModelError, or ConfigError when it does not fit the scene."""
-    classifier = Classifier.load(settings.model_path or SHIPPED_MODEL)
+    if settings.model_path is None:
+        classifier = Classifier.load()
+    else:
+        from touchd.model.own_file import load_own
+
+        classifier = load_own(settings.model_path)
     check_fit(settings.scene, classifier)
     # Warm up: the first answer of each length takes several times longer than those after it.
     for frames in settings.scene.answer_at_frames:

@@ -2,7 +2,6 @@
 
 import hashlib
 import os
-import threading
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,13 +13,11 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from touchd.drivers.errors import TouchdError, os_errors_as
-from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS
+from touchd.drivers.frame import COLUMNS, MAX_COUNT, ROWS
 
 SHIPPED_MODEL = Path(__file__).parent / "weights" / "touchd.onnx"
 MAX_FILE_BYTES = 32 * 1024 * 1024
 METADATA_KEY = "touchd"
-TRIAL_S = 10.0
-TRIAL_FRAMES = 54
 # Pads in the training data rest at up to 8 counts on average, and at up to 28 in a single taxel.
 KNOWN_REST_COUNTS, KNOWN_TAXEL_COUNTS = 10.0, 30.0
 
@@ -73,7 +70,10 @@ class Classifier:
 
     @classmethod
     def load(cls, path: Path = SHIPPED_MODEL, threads: int = 1) -> "Classifier":
-        """Load an exported model file; raises ModelError if it is missing, damaged or not for this pad."""
+        """Load an exported model file; raises ModelError if it is missing, damaged or not of touchd.
+
+        For a file from elsewhere see `own_file`.
+        """
         session = _open_session(path, threads)
         stored = session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)
         if stored is None:
@@ -84,7 +84,6 @@ class Classifier:
             metadata = msgspec.json.decode(stored, type=ModelMetadata)
         except msgspec.DecodeError as error:
             raise ModelError(f"{path}: its touchd metadata is damaged ({error}); export it again") from error
-        _check_fit(path, metadata, session)
         states = session.get_overridable_initializers()
         return cls(metadata, session, tuple(entry.name for entry in states))
 
@@ -203,50 +202,3 @@ def _check_digest(path: Path, content: bytes) -> None:
         return
     if beside.read_text(errors="replace").partition(" ")[0] != hashlib.sha256(content).hexdigest():
         raise ModelError(f"{path}: damaged, its SHA-256 is not that in {beside.name}; install touchd again")
-
-
-def _check_fit(path: Path, metadata: ModelMetadata, session: onnxruntime.InferenceSession) -> None:
-    if metadata.frame_rate_hz != FRAME_RATE_HZ:
-        raise ModelError(
-            f"{path}: made for {metadata.frame_rate_hz} Hz, the pad is read at {FRAME_RATE_HZ} Hz"
-        )
-    if metadata.framing != "live":
-        raise ModelError(f"{path}: made for {metadata.framing} framing; a pad sends live frames")
-    # None: the model must accept any batch size and any number of frames.
-    inputs = [
-        (entry.name, entry.type, [size if isinstance(size, int) else None for size in entry.shape])
-        for entry in session.get_inputs()
-    ]
-    if inputs != [("counts", "tensor(float)", [None, None, ROWS, COLUMNS])]:
-        raise ModelError(
-            f"{path}: its inputs are {inputs}, not any number of {ROWS}x{COLUMNS} taxels' counts"
-        )
-    outputs = [entry.name for entry in session.get_outputs()]
-    if unknown := [name for name in outputs if name != "probabilities" and not name.startswith("next_")]:
-        raise ModelError(f"{path}: has another output than probabilities: {unknown[0]}; export it again")
-    _try_out(path, metadata, session)
-
-
-def _try_out(path: Path, metadata: ModelMetadata, session: onnxruntime.InferenceSession) -> None:
-    """Classify a pad at rest; raises ModelError unless this gives probabilities within TRIAL_S."""
-    options = onnxruntime.RunOptions()
-    # A loop in the graph may have no end.
-    limit = threading.Timer(TRIAL_S, setattr, (options, "terminate", True))
-    limit.daemon = True
-    limit.start()
-    try:
-        rest = np.zeros((1, min(TRIAL_FRAMES, metadata.max_length), ROWS, COLUMNS), np.float32)
-        (answer,) = session.run(["probabilities"], {"counts": rest}, options)
-    except Exception as error:  # ONNX Runtime raises its own undocumented types
-        why = str(error).splitlines()[0] if limit.is_alive() else f"no answer within {TRIAL_S:g} s"
-        raise ModelError(f"{path}: gives no answer for a pad at rest ({why}); export it again") from error
-    finally:
-        limit.cancel()
-        limit.join()
-    answer = np.asarray(answer)
-    if answer.shape != (1, len(metadata.labels)):
-        is_row = answer.ndim == 2 and len(answer) == 1
-        found = answer.shape[1] if is_row else f"answers of shape {answer.shape}, not"
-        raise ModelError(f"{path}: {found} outputs for {len(metadata.labels)} labels; export it again")
-    if not (answer.min() >= -1e-6 and abs(float(answer.sum()) - 1.0) <= 1e-3):
-        raise ModelError(f"{path}: its answers are not probabilities; export it again")

@@ -21,6 +21,7 @@ from touchd.model.classifier import (
     as_known,
     digest_file,
 )
+from touchd.model.own_file import load_own
 from touchd.model.settings import LENGTHS
 from touchd.model.studies.checks.hard_cases import hand
 from touchd.model.studies.checks.stability import chunked
@@ -31,7 +32,7 @@ GESTURES = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
 
 def refusal(path: Path) -> str:
     with pytest.raises(ModelError) as raised:
-        Classifier.load(path)
+        load_own(path)
     message = str(raised.value)
     assert message.startswith(f"{path}: ")
     assert "\n" not in message
@@ -40,6 +41,10 @@ def refusal(path: Path) -> str:
 
 def test_the_shipped_file_is_at_most_5_megabytes() -> None:
     assert SHIPPED_MODEL.stat().st_size <= 5_000_000
+
+
+def test_the_shipped_file_would_be_taken_from_a_user_too() -> None:
+    assert load_own(SHIPPED_MODEL).metadata == Classifier.load().metadata
 
 
 def test_the_shipped_model_says_what_it_is(classifier: Classifier) -> None:
@@ -207,7 +212,7 @@ class TestOtherModels:
         assert "another output than probabilities: odd" in refusal(self.saved(proto))
 
     def test_a_graph_without_an_end_is_refused_in_time(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr("touchd.model.classifier.TRIAL_S", 0.5)
+        monkeypatch.setattr("touchd.model.own_file.TRIAL_S", 0.5)
         helper, kind = self.onnx.helper, self.onnx.TensorProto
         info = helper.make_tensor_value_info
         steps = [("go", "still"), ("held", "kept")]
