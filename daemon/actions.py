@@ -24,8 +24,8 @@ import msgspec
 
 from touchd.daemon.events import UNCERTAIN, Stage
 from touchd.daemon.feel import Feel
-from touchd.daemon.words import Name
 
+Name = Annotated[str, msgspec.Meta(min_length=1, max_length=200)]
 # Every touch has these; a direction or a length in mm it may not have.
 MEASURES = tuple(field.name for field in msgspec.structs.fields(Feel) if field.required)
 # Excludes NaN, which no measure is above or below.
@@ -68,7 +68,7 @@ class Action(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """One thing the robot does: exactly one of these is set.
 
     say: speak. animated_say: speak and move along. Both may hold {gesture} (the model's label), {name} and
-    {phrase} (see Words), and {confidence} (whole percent).
+    {phrase} (see `config.Words`), and {confidence} (whole percent).
     behavior: an installed behaviour, run to its end. leds: lights.
     """
 

@@ -1,20 +1,16 @@
 """The command `touchd`: finds the subcommand, and turns every error into one line and an exit code."""
 
-import errno
 import importlib
 import io
 import os
-import re
 import signal
 import sys
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from touchd.drivers.errors import TouchdError, one_line
+from touchd.drivers.errors import TouchdError
 
-NOT_THERE = re.compile(r"(\S+\.so\S*): cannot open shared object file")
 USERS_MISTAKE = 2
-OUR_MISTAKE = 1
 INTERRUPTED = 130
 # These run until a signal ends them; their exit code is then 0.
 UNTIL_ENDED = ("run", "demo", "replay", "fake-pad", "fake-robot")
@@ -67,7 +63,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return ended
     except BrokenPipeError:
-        _discard_output()
+        from touchd.daemon.failure import discard_output
+
+        discard_output()
         return 0
     except Exception as error:
         # A compiled module that is interrupted while it is imported raises an error of its own, and so does
@@ -77,7 +75,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return ended
         if "--debug" in given:
             raise
-        return _complain(error)
+        from touchd.daemon.failure import complain
+
+        return complain(error)
 
 
 def _run(words: Sequence[str]) -> int:
@@ -116,34 +116,6 @@ def _prepare_streams() -> None:
             setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115 - stays open
         if isinstance(stream := getattr(sys, name), io.TextIOWrapper):
             stream.reconfigure(errors="replace")
-
-
-def _discard_output() -> None:
-    """Discard buffered output, so that flushing it at exit raises nothing."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-def _complain(error: Exception) -> int:
-    """Write one line about an error that a command raised; returns the exit code."""
-    from touchd.drivers.installed import SIZES, extra_of, how_to_install
-
-    what, code = str(error), USERS_MISTAKE
-    if isinstance(error, ModuleNotFoundError) and (extra := extra_of(error.name or "")):
-        # As a comment: the line's end may be pasted into a shell.
-        size = f"  # {SIZES[extra]} on the disk" if extra in SIZES else ""
-        what = f"{error.name} is not installed (extra {extra}): {how_to_install(extra)}{size}"
-    elif isinstance(error, ImportError) and (library := NOT_THERE.search(str(error))):
-        what = f"{library[1]}, a library of the system, is not there; install the package that brings it"
-    elif isinstance(error, OSError) and error.errno == errno.ENOSPC:
-        _discard_output()
-        what = f"{error.filename or 'standard output'}: cannot be written ({error.strerror})"
-    elif isinstance(error, OSError) and error.errno in (errno.EACCES, errno.ENAMETOOLONG):
-        what = f"{error.filename}: {error.strerror}; give another path, or put sudo before the command"
-    elif not isinstance(error, TouchdError):
-        what = " ".join(f"internal error: {type(error).__name__}: {error}; --debug shows the trace".split())
-        code = OUR_MISTAKE
-    sys.stderr.write(f"touchd: {one_line(what)}\n")
-    return code
 
 
 def _help() -> str:

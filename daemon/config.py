@@ -6,17 +6,16 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeAlias
 
 import msgspec
 
-from touchd.daemon.actions import ActionRule
+from touchd.daemon.actions import ActionRule, Name
 from touchd.daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings, RosbridgeSettings, Section
 from touchd.daemon.decide import DecisionSettings
 from touchd.daemon.pipeline import PipelineSettings
 from touchd.daemon.strict_yaml import StrictYamlError, convert
 from touchd.daemon.tracker.tracker import TouchSettings
-from touchd.daemon.words import Language, Vocabulary, Words, vocabulary
 from touchd.drivers.errors import TouchdError, written_out
 from touchd.drivers.frame import DEFAULT_PAD
 from touchd.drivers.pad.format import PRESETS, PadFormat, Side
@@ -34,6 +33,7 @@ FINAL_ABOVE_ON_ANOTHER_PAD = 0.6
 NO_ROOM = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)
 OVERRIDES = ("rows", "columns", "crop", "invert", "turn", "mirror")
 
+Language: TypeAlias = Literal["en", "de"]
 # Not gt=0, here and elsewhere: msgspec makes that the smallest denormal float, which equals 0 once the model
 # is loaded and denormals count as zero.
 Length = Annotated[float, msgspec.Meta(ge=0.001, le=10_000)]
@@ -149,6 +149,13 @@ class LiveSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     label: bool = False
 
 
+class Words(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A gesture's name ("pat"), and its form in a sentence ("a pat")."""
+
+    name: Name
+    phrase: Name
+
+
 class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """All settings of `touchd run`. model: an ONNX file, null for the one that ships with touchd.
 
@@ -219,10 +226,6 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         return {"mqtt": self.mqtt, "lsl": self.lsl, "ros2": self.ros2, "rosbridge": self.rosbridge}
 
     @property
-    def vocabulary(self) -> Vocabulary:
-        return vocabulary(self.language, self.words)
-
-    @property
     def pipeline(self) -> PipelineSettings:
         decision = self.scene
         if self.sensor.described.line != PRESETS[FABRIC].line:
@@ -231,26 +234,6 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             unset = {name: limit for name, limit in limits.items() if getattr(decision, name) is None}
             decision = msgspec.structs.replace(decision, **unset)
         return PipelineSettings(touch=self.touch, decision=decision, size_mm=self.sensor.size_mm)
-
-
-def only_pad(settings: Settings, name: str | None, port: str | None = None) -> Settings:
-    """Return the settings of one pad, at another port if given. name: needed if there are several pads.
-
-    Raises ConfigError when there is no such pad, or the name is missing.
-    """
-    pads = settings.pads
-    chosen = pads.get(name) if name else next(iter(pads.values())) if len(pads) == 1 else None
-    if chosen is None:
-        wrong = f"{name}: no pad has this name" if name else "several pads are configured"
-        raise ConfigError(f"{wrong}; give --pad one of {', '.join(pads)}")
-    if port is None:
-        return chosen
-    try:
-        # Construct it: replace() would not check the values.
-        sensor = SensorSettings(**(msgspec.structs.asdict(chosen.sensor) | {"port": port}))
-    except ValueError as error:
-        raise ConfigError(f"--port: {error}") from error
-    return msgspec.structs.replace(chosen, sensor=sensor)
 
 
 def load(path: Path) -> Settings:

@@ -20,12 +20,6 @@ Tags: TypeAlias = dict[str, str] | UnsetType
 
 UNCERTAIN = "uncertain"
 MAX_REASON_BYTES = 400
-# The year 2500: earlier times fit into the nanoseconds of every format that touchd writes.
-LAST_S = 16_725_225_600.0
-
-
-class EventError(ValueError):
-    """A line is not an event; the message says what is wrong with it."""
 
 
 class TouchBegan(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="touch_began"):
@@ -175,18 +169,6 @@ def kind_of(event: Event) -> str:
 def encode(event: Event) -> bytes:
     """Return the event as one line of JSON, UTF-8, without a newline."""
     return msgspec.json.encode(event)
-
-
-def decode(line: bytes | str) -> Event:
-    """Return the event that a line of JSON holds; raises EventError when it holds none."""
-    try:
-        event: Event = msgspec.json.decode(line, type=Event)
-        if not 0.0 <= epoch_s(event.time) < LAST_S:
-            raise ValueError(f"time {event.time}")
-    # RecursionError: lists nested too deeply.
-    except (msgspec.DecodeError, ValueError, OverflowError, RecursionError) as error:
-        raise EventError(f"not an event: {error}") from error
-    return event
 
 
 def timestamp(epoch_s: float) -> str:

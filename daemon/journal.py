@@ -7,6 +7,7 @@ import os
 from itertools import pairwise
 from pathlib import Path
 
+from touchd.daemon.config import JournalSettings
 from touchd.daemon.events import Event, encode
 from touchd.daemon.sinks import QueuedSink
 from touchd.drivers.errors import TouchdError, os_errors_as
@@ -14,6 +15,7 @@ from touchd.drivers.faults import FaultLog
 
 log = logging.getLogger(__name__)
 
+BYTES_PER_MB = 1_000_000
 MAX_LINE_BYTES = 64 * 1024
 # The beginning of every line.
 FIRST_BYTES = b'{"type":"'
@@ -126,6 +128,15 @@ class JournalSink(QueuedSink[Event]):
         # If the disk hangs, the thread may still write: leave the file open.
         if not self._thread.is_alive():
             self.journal.close()
+
+
+def open_journal(settings: JournalSettings) -> JournalSink:
+    """Return the configured journal; raises JournalError. The default folder is made if it is missing."""
+    path = settings.file
+    if settings.path is None:
+        with os_errors_as(JournalError, f"journal {path}: cannot be written", "set journal: null"):
+            path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    return JournalSink(Journal(path, max_bytes=round(settings.max_mb * BYTES_PER_MB), keep=settings.keep))
 
 
 def _open(path: Path) -> int:

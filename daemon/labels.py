@@ -5,11 +5,13 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from touchd.daemon.config import Settings
 from touchd.daemon.events import Event, Label, timestamp
-from touchd.daemon.kept.touch_store import kept_touches
+from touchd.daemon.kept.touch_store import folder_of, kept_touches
 from touchd.drivers.errors import TouchdError
 from touchd.drivers.frame import NO_TOUCH
 from touchd.drivers.installed import program_name
+from touchd.model.classifier import Classifier
 
 # The key of each gesture but notouch, in order. l, q, u and w are commands of `touchd record`.
 KEYS = "123456789abcdefghijkmnoprstvxyz"
@@ -65,6 +67,17 @@ class Labeller:
         # A gesture that nobody has labelled yet must not be dropped.
         how = f"{program_name()} train --keep-all --extra {shlex.quote(str(folder))}"
         return f"{count} touches labelled; to learn from them: {how}"
+
+
+def make_labeller(
+    settings: Settings, models: Mapping[str, Classifier], emit: Callable[[Event], None]
+) -> Labeller:
+    """Return what takes labels of touches; raises RecordingError if kept touches cannot be read."""
+    journal = settings.journal
+    folders = {}
+    if journal is not None and journal.keep_touches is not None:
+        folders = {name: folder_of(journal.file, name) for name in settings.pads}
+    return Labeller(emit, {name: model.labels for name, model in models.items()}, folders)
 
 
 def keys_of(gestures: Sequence[str]) -> dict[str, str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 import typing
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -12,40 +11,24 @@ import numpy as np
 
 from touchd.daemon.bridges.settings import MEMORY_FILES
 from touchd.daemon.config import ConfigError, JournalSettings, SceneSettings, Settings, config_errors
-from touchd.daemon.events import (
-    MAX_REASON_BYTES,
-    UNCERTAIN,
-    ActionKind,
-    Event,
-    Prediction,
-    RobotAction,
-    RobotEvent,
-    timestamp,
-)
-from touchd.daemon.journal import Journal, JournalError, JournalSink
+from touchd.daemon.events import UNCERTAIN, Event
 from touchd.daemon.monitor import PadMonitor
 from touchd.daemon.pipeline import Pipeline, Viewers
-from touchd.daemon.sinks import RobotSink, Sink
-from touchd.drivers.errors import one_line, os_errors_as
+from touchd.daemon.sinks import Sink
 from touchd.drivers.frame import COLUMNS, NO_TOUCH, ROWS
 from touchd.drivers.pad.port import SensorError, check_port
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.pad.sensor import FrameQueue, Sensor
 from touchd.drivers.queue import Signal
-from touchd.drivers.robot.link import RobotLink
-from touchd.drivers.robot.session import OpenSession
-from touchd.drivers.robot.worker import LinkState
 from touchd.model.classifier import Classifier
 
 if typing.TYPE_CHECKING:
     from touchd.daemon.bridges.bridge import Bridge
+    from touchd.daemon.journal import JournalSink
     from touchd.daemon.kept.touch_store import TouchSink
     from touchd.daemon.labels import Labeller
     from touchd.daemon.live.server import LiveServer
-
-BYTES_PER_MB = 1_000_000
-
-Emit = Callable[[Event], None]
+    from touchd.daemon.robot import RobotSink
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,13 +60,18 @@ class Parts:
 
     @property
     def sinks(self) -> tuple[Sink, ...]:
-        one_each = (self.journal, self.live, self.kept, self.robot)
-        return (*(sink for sink in one_each if sink is not None), *self.bridges)
+        """All sinks, the robot last: its own events follow the answer that caused them."""
+        every = (self.journal, self.live, self.kept, *self.bridges, self.robot)
+        return tuple(sink for sink in every if sink is not None)
 
 
 @config_errors()
 def make_parts(
-    settings: Settings, emit: Emit, viewers: Viewers, arrived: Signal, config: Path | None = None
+    settings: Settings,
+    emit: Callable[[Event], None],
+    viewers: Viewers,
+    arrived: Signal,
+    config: Path | None = None,
 ) -> Parts:
     """Return the parts of a daemon; raises TouchdError when the settings cannot be used.
 
@@ -96,115 +84,36 @@ def make_parts(
     for number, (name, pad) in enumerate(settings.pads.items()):
         queue = FrameQueue(filled=arrived)
         sensor = Sensor(pad.sensor.port, pad.sensor.baud, parser_of(pad.sensor.described), queue)
-        pipeline = Pipeline(
-            pad.pipeline,
-            models[name],
-            emit,
-            pad=name,
-            viewers=viewers,
-            first_index=number,
-            monitor=PadMonitor(name, sensor.parser, sensor.where),
-        )
+        monitor = PadMonitor(name, sensor.parser, sensor.where)
+        pipeline = Pipeline(pad.pipeline, models[name], emit, None, name, viewers, number, monitor)
         pads.append(PadChannel(name, models[name], queue, sensor, pipeline))
-    takes_labels = settings.live is not None and settings.live.label
-    labeller = make_labeller(settings, models, emit) if takes_labels else None
-    return Parts(
-        pads=tuple(pads),
-        labeller=labeller,
-        kept=keep_touches(settings),
-        robot=link_to_robot(settings, emit),
-        journal=open_journal(settings.journal),
-        live=open_live_page(settings, models, labeller),
-        bridges=bridges_to_others(settings, models, config),
-    )
+    journal: JournalSink | None = None
+    kept: TouchSink | None = None
+    live: LiveServer | None = None
+    robot: RobotSink | None = None
+    labeller: Labeller | None = None
+    if settings.journal is not None:
+        from touchd.daemon.journal import open_journal
 
+        journal = open_journal(settings.journal)
+        if settings.journal.keep_touches is not None:
+            from touchd.daemon.kept.touch_store import keep_touches
 
-def open_journal(settings: JournalSettings | None) -> JournalSink | None:
-    """Return the configured journal, if any; raises JournalError."""
-    if settings is None:
-        return None
-    _make_state_folder(settings)
-    max_bytes = round(settings.max_mb * BYTES_PER_MB)
-    return JournalSink(Journal(settings.file, max_bytes=max_bytes, keep=settings.keep))
+            kept = keep_touches(settings)
+    if settings.live is not None:
+        if settings.live.label:
+            from touchd.daemon.labels import make_labeller
 
+            labeller = make_labeller(settings, models, emit)
+        from touchd.daemon.live.server import open_live_page
 
-def keep_touches(settings: Settings) -> TouchSink | None:
-    """Return the sink that saves the frames of touches, if configured; raises ConfigError."""
-    journal = settings.journal
-    if journal is None or journal.keep_touches is None:
-        return None
-    from touchd.daemon.kept.touch_store import TouchSink, open_stores
+        live = open_live_page(settings, models, labeller)
+    if settings.robot is not None:
+        from touchd.daemon.robot import link_to_robot
 
-    _make_state_folder(journal)
-    pads = {name: pad.sensor for name, pad in settings.pads.items()}
-    return TouchSink(open_stores(journal.file, journal.keep_touches, pads))
-
-
-def _make_state_folder(settings: JournalSettings) -> None:
-    """Make the default state folder when it is missing, but not the folder of a configured path."""
-    if settings.path is None:
-        with os_errors_as(JournalError, f"journal {settings.file}: cannot be written", "set journal: null"):
-            settings.file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-
-
-def link_to_robot(
-    settings: Settings, emit: Emit, open_session: OpenSession | None = None
-) -> RobotSink | None:
-    """Return the link to the configured robot, if any; raises RobotError.
-
-    emit: receives an event when the robot comes, goes or acts, from the link's threads.
-    open_session: how to reach the robot; real qi by default.
-    """
-
-    def report(state: LinkState, reason: str) -> None:
-        why = one_line(reason, MAX_REASON_BYTES)
-        emit(RobotEvent(state=state, time=timestamp(time.time()), reason=why))
-
-    def note(answer: Prediction, kind: ActionKind, what: str) -> None:
-        now = timestamp(time.time())
-        shown = one_line(what, MAX_REASON_BYTES)
-        emit(RobotAction(touch=answer.touch, action=kind, what=shown, time=now, pad=answer.pad))
-
-    if settings.robot is None:
-        return None
-    rules = {name: pad.scene.actions for name, pad in settings.pads.items()}
-    link = RobotLink(settings.robot, report, open_session, pads=rules, acts=any(rules.values()))
-    for name in settings.pads:
-        # Report "down" until frames come: a program that waits for "up" must not find a missing pad up.
-        link.set_status("down", name)
-    if not any(rules.values()):
-        return RobotSink(link)
-    from touchd.daemon.reactions import Reactions
-
-    return RobotSink(link, Reactions(rules, settings.vocabulary, link.act, note).on_answer)
-
-
-def open_live_page(
-    settings: Settings, models: Mapping[str, Classifier], labeller: Labeller | None = None
-) -> LiveServer | None:
-    """Return the server of the live page, if one is configured; raises LiveError."""
-    if settings.live is None:
-        return None
-    from touchd.daemon.live.address import listen, require_library
-
-    require_library()
-    from touchd.daemon.live.memory import Scene
-    from touchd.daemon.live.server import LiveServer
-
-    scenes = {name: Scene(pad, models[name]) for name, pad in settings.pads.items()}
-    return LiveServer(listen(settings.live), settings.live, scenes, labeller=labeller)
-
-
-def make_labeller(settings: Settings, models: Mapping[str, Classifier], emit: Emit) -> Labeller:
-    """Return what takes labels of touches; raises RecordingError if kept touches cannot be read."""
-    from touchd.daemon.kept.touch_store import folder_of
-    from touchd.daemon.labels import Labeller
-
-    journal = settings.journal
-    folders = {}
-    if journal is not None and journal.keep_touches is not None:
-        folders = {name: folder_of(journal.file, name) for name in settings.pads}
-    return Labeller(emit, {name: model.labels for name, model in models.items()}, folders)
+        robot = link_to_robot(settings, emit)
+    bridges = bridges_to_others(settings, models, config)
+    return Parts(tuple(pads), journal, live, kept, robot, bridges, labeller)
 
 
 def bridges_to_others(

@@ -9,8 +9,9 @@ from dataclasses import dataclass, field
 import msgspec
 
 from touchd.daemon.actions import Action, ActionRule
+from touchd.daemon.config import Words
 from touchd.daemon.events import UNCERTAIN, ActionKind, Prediction
-from touchd.daemon.words import Vocabulary, Words
+from touchd.daemon.words import Vocabulary
 from touchd.drivers.robot.acting import Act, animated_say, run_behavior, say, set_leds
 
 # Touches that are remembered: more than can go on at once.

@@ -13,7 +13,7 @@ from pathlib import Path
 from touchd.daemon.config import Settings
 from touchd.daemon.events import LivePrediction
 from touchd.daemon.health import Health
-from touchd.daemon.parts import PadChannel, make_labeller, make_parts
+from touchd.daemon.parts import PadChannel, make_parts
 from touchd.daemon.sinks import EventFanout, Sink
 from touchd.drivers.frame import Frame, SensorState
 from touchd.drivers.queue import Signal
@@ -51,6 +51,8 @@ class Service:
         """Show everything on a view, with the frames of the first pad. Call it before `run`."""
         self.tell(view)
         self._view = view
+        from touchd.daemon.labels import make_labeller
+
         models = {pad.name: pad.model for pad in self._parts.pads}
         view.labeller = self._parts.labeller or make_labeller(self._settings, models, self.events.emit)
 
@@ -58,7 +60,7 @@ class Service:
         """Run until `must_stop` returns True; then end current touches and stop every sink."""
         # Exempt loaded objects from garbage collection: a full pass takes as long as an answer may.
         gc.freeze()
-        self.events.hand_to((*self._more_sinks, *self._parts.sinks))
+        self.events.sinks = (*self._more_sinks, *self._parts.sinks)
         for sink in self.events.sinks:
             sink.start()
         for pad in self._parts.pads:

@@ -1,29 +1,20 @@
 """Where events go. Each sink has its own bounded queue and its own thread, so that none can slow the loop."""
 
 import errno
-import itertools
 import logging
 import os
 import select
 import threading
 import typing
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Generic, TypeVar
 
 import msgspec
 
-from touchd.daemon.events import (
-    Event,
-    Prediction,
-    RobotEvent,
-    SensorEvent,
-    TouchBegan,
-    epoch_s,
-)
+from touchd.daemon.events import Event, RobotEvent, SensorEvent, TouchBegan
 from touchd.drivers.faults import FaultLog
 from touchd.drivers.queue import DroppingQueue
-from touchd.drivers.robot.link import RobotLink, RobotMessage
 
 log = logging.getLogger(__name__)
 
@@ -51,6 +42,7 @@ class Sink(typing.Protocol):
 class EventFanout:
     """Hands every event to every sink; any thread may call it, and no sink makes it wait.
 
+    sinks: in order; the robot comes last, so that its own events follow the answer that caused them.
     touches: number of touches that began. tags: put into each event.
     """
 
@@ -58,10 +50,6 @@ class EventFanout:
         self.sinks: tuple[Sink, ...] = ()
         self.touches = 0
         self.tags: Mapping[str, str] = {}
-
-    def hand_to(self, sinks: Iterable[Sink]) -> None:
-        """Set the sinks; the robot comes last, so that its own events follow the answer that caused them."""
-        self.sinks = tuple(sorted(sinks, key=lambda sink: isinstance(sink, RobotSink)))
 
     def emit(self, event: Event) -> None:
         # The robot's threads emit events too, but no touches: only one thread may count.
@@ -183,43 +171,3 @@ class LinesSink(QueuedSink[Item]):
             else:
                 self._abandoned.set()
                 self._on_gone()
-
-
-class RobotSink:
-    """Sends told answers and the pads' states to the robot. The link has its own queues and threads.
-
-    react: receives every answer, told or not.
-    """
-
-    name = "robot"
-
-    def __init__(self, link: RobotLink, react: Callable[[Prediction], None] = lambda _: None) -> None:
-        self._link = link
-        self._react = react
-        self._numbers = itertools.count(1)
-
-    def start(self) -> None:
-        self._link.start()
-
-    def put(self, event: Event) -> None:
-        """Send a told prediction to the robot, react to any; returns at once. Call it from one thread."""
-        if isinstance(event, Prediction):
-            if event.told:
-                self._link.publish(self._message(event))
-            self._react(event)
-        elif isinstance(event, SensorEvent):
-            self._link.set_status(event.state, event.pad)
-
-    def stop(self, timeout_s: float) -> None:
-        self._link.stop(timeout_s)
-
-    def _message(self, told: Prediction) -> RobotMessage:
-        return RobotMessage(
-            gesture=told.gesture,
-            confidence=told.confidence,
-            time_s=epoch_s(told.time),
-            stage=told.stage,
-            touch=told.touch,
-            sequence=next(self._numbers),
-            pad=told.pad,
-        )

@@ -1,24 +1,12 @@
 """Names and phrases for gestures: English and German are shipped, a deployment may add its own."""
 
 from collections.abc import Mapping
-from typing import Annotated, Literal, TypeAlias
+from typing import TypeAlias
 
-import msgspec
-
+from touchd.daemon.config import Language, Settings, Words
 from touchd.daemon.events import UNCERTAIN
 from touchd.drivers.frame import NO_TOUCH
 
-Name = Annotated[str, msgspec.Meta(min_length=1, max_length=200)]
-
-
-class Words(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A gesture's name ("pat"), and its form in a sentence ("a pat")."""
-
-    name: Name
-    phrase: Name
-
-
-Language: TypeAlias = Literal["en", "de"]
 Vocabulary: TypeAlias = Mapping[str, Words]
 
 # Name, and phrase as after "that feels like" ("das fühlt sich an wie").
@@ -52,6 +40,11 @@ def vocabulary(language: Language, own: Vocabulary) -> Vocabulary:
         gesture: Words(name=name, phrase=phrase) for gesture, (name, phrase) in SHIPPED[language].items()
     }
     return {**shipped, **own}
+
+
+def words_of(settings: Settings) -> Vocabulary:
+    """Return the words that are configured."""
+    return vocabulary(settings.language, settings.words)
 
 
 def name_of(words: Vocabulary, gesture: str) -> str:

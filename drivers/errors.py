@@ -29,8 +29,8 @@ TouchdError
     ResultsError       model/studies/results.py     stored figures
 
 Handled where they arise and never shown: StrictYamlError (daemon/strict_yaml.py), EventError
-(daemon/events.py), ModelInputError (model/classifier.py), PadLost (daemon/recorder/capture.py), RobotLost and
-RobotRefused (drivers/robot/session.py). Anything else is an internal error: exit code 1.
+(daemon/kept/touches.py), ModelInputError (model/classifier.py), PadLost (daemon/recorder/capture.py),
+RobotLost and RobotRefused (drivers/robot/session.py). Anything else is an internal error: exit code 1.
 """
 
 from collections.abc import Iterator

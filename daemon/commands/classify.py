@@ -11,7 +11,7 @@ from touchd.daemon.parts import load_model
 from touchd.daemon.pipeline import Pipeline
 from touchd.daemon.playback.stream import add_arguments, chosen_stream, play
 from touchd.daemon.terminal.describe import describe
-from touchd.daemon.words import Vocabulary, name_of
+from touchd.daemon.words import Vocabulary, name_of, words_of
 from touchd.drivers.frame import NO_TOUCH
 from touchd.drivers.recording import Stream
 
@@ -33,11 +33,11 @@ def main(arguments: Sequence[str]) -> int:
     settings = settings_of(options).settings
     in_words = sys.stdout.isatty() and not options.json
     stream = chosen_stream(options)
-    tally = Tally(stream, settings.vocabulary)
+    tally = Tally(stream, words_of(settings))
 
     def emit(event: Event) -> None:
         tally.put(event)
-        line = describe(event, settings.vocabulary) if in_words else encode(event).decode()
+        line = describe(event, words_of(settings)) if in_words else encode(event).decode()
         sys.stdout.write(f"{line}\n")
 
     play(stream, Pipeline(settings.pipeline, load_model(settings), emit), tally.at)

@@ -19,13 +19,13 @@ from rich.console import Console
 from touchd.daemon.actions import Action, ActionRule, Leds
 from touchd.daemon.config import LiveSettings, SceneSettings, Settings
 from touchd.daemon.events import Event, Prediction, TouchEnded
-from touchd.daemon.live.address import EVERY_ADDRESS, listen, parse_address, qr_code, require_library, urls_of
-from touchd.daemon.parts import link_to_robot
+from touchd.daemon.live.address import EVERY_ADDRESS, listen, parse_address, qr_code, urls_of
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
 from touchd.daemon.playback.stream import DEMO_RECORDING
+from touchd.daemon.robot import link_to_robot
 from touchd.daemon.terminal.describe import describe
 from touchd.daemon.terminal.view import View
-from touchd.daemon.words import name_of
+from touchd.daemon.words import name_of, words_of
 from touchd.drivers.fakes.fake_port import FakePort, LivePort
 from touchd.drivers.fakes.hand import DEMO_SEED, SimulatedHand, demo_gestures
 from touchd.drivers.fakes.loopback_robot import LoopbackRobot
@@ -83,7 +83,7 @@ class PlainLines:
 
     def put(self, event: Event) -> None:
         """Write an event in words; raises BrokenPipeError when the reader has gone."""
-        self._write(describe(event, self._settings.vocabulary))
+        self._write(describe(event, words_of(self._settings)))
 
     def _write(self, text: str) -> None:
         sys.stdout.write(f"{text}\n")
@@ -147,7 +147,6 @@ def main(arguments: Sequence[str]) -> int:
 
 def _be_touched(options: argparse.Namespace, settings: Settings) -> int:
     """Run until Ctrl-C with a page on which viewers touch the simulated pad; returns 0."""
-    require_library()
     # Imported only with --live, since these modules need its library.
     from touchd.daemon.live.memory import Scene
     from touchd.daemon.playback.touched import TouchedPad, TouchPage
@@ -170,7 +169,7 @@ def _be_touched(options: argparse.Namespace, settings: Settings) -> int:
 
         def begins(gesture: str) -> None:
             if gesture != NO_TOUCH:
-                show.doing(f"the simulated hand: {name_of(settings.vocabulary, gesture)}")
+                show.doing(f"the simulated hand: {name_of(words_of(settings), gesture)}")
 
         hand = SimulatedHand(demo_gestures(rng), begins)
         pad = TouchedPad(rng, page.touching, hand, show.show_frame)
@@ -183,7 +182,7 @@ def _be_touched(options: argparse.Namespace, settings: Settings) -> int:
 
 
 def _names(gestures: Iterable[str], settings: Settings) -> str:
-    return ", ".join(name_of(settings.vocabulary, gesture) for gesture in gestures)
+    return ", ".join(name_of(words_of(settings), gesture) for gesture in gestures)
 
 
 def _show(
@@ -198,7 +197,7 @@ def _show(
         return PlainLines(settings)
     view = View(
         " ".join(urls) or "the daemon at work",
-        settings.vocabulary,
+        words_of(settings),
         settings.scene.answer_at_frames,
         console,
         qr_code(urls[0]) if is_for_phones else "",
@@ -231,7 +230,6 @@ def _run(
         stub = closing.enter_context(StubRobot(show_call, SPEECH_S))
         with_robot = msgspec.structs.replace(settings, robot=RobotSettings(url=stub.url))
         sink = link_to_robot(with_robot, show.put, stub.open_session)
-        assert sink is not None
         forward = sink.put
         sink.start()
         closing.callback(sink.stop, ROBOT_STOP_S)
@@ -274,7 +272,7 @@ def _showing(
         show.show_frame(counts, sensor_ms)
         gesture = begins.get((sensor_ms - first_ms) % length_ms, "notouch")
         if gesture != "notouch":
-            show.doing(f"the simulated hand: {name_of(settings.vocabulary, gesture)}")
+            show.doing(f"the simulated hand: {name_of(words_of(settings), gesture)}")
         return encode(counts, sensor_ms)
 
     return shown

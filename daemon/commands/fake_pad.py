@@ -11,7 +11,7 @@ from numpy.random import RandomState
 from touchd.daemon.commands.one_pad import add_settings, settings_of
 from touchd.daemon.commands.settings import parsed
 from touchd.daemon.config import Settings
-from touchd.daemon.live.address import listen, parse_address, require_library, urls_of
+from touchd.daemon.live.address import listen, parse_address, urls_of
 from touchd.daemon.playback.rig import encoder_for
 from touchd.drivers.fakes.fabric import Fabric
 from touchd.drivers.fakes.fake_port import LivePort
@@ -68,7 +68,6 @@ def main(arguments: Sequence[str]) -> int:
     with ExitStack() as closing:
         if options.live is not None:
             # Imported only with --live, since these modules need its library.
-            require_library()
             from touchd.daemon.live.memory import Scene
             from touchd.daemon.playback.touched import TouchedPad, TouchPage
 

@@ -3,8 +3,10 @@
 import argparse
 import sys
 
+import msgspec
+
 from touchd.daemon.commands.settings import Found, add_config, find_settings
-from touchd.daemon.config import only_pad
+from touchd.daemon.config import ConfigError, SensorSettings, Settings
 
 
 def add_settings(parser: argparse.ArgumentParser, what: str = "settings", port: bool = True) -> None:
@@ -23,3 +25,23 @@ def settings_of(options: argparse.Namespace) -> Found:
     if options.config is None and (found.file or found.closed):
         sys.stderr.write(f"{found}\n")
     return found._replace(settings=only_pad(found.settings, options.pad, getattr(options, "port", None)))
+
+
+def only_pad(settings: Settings, name: str | None, port: str | None = None) -> Settings:
+    """Return the settings of one pad, at another port if given. name: needed if there are several pads.
+
+    Raises ConfigError when there is no such pad, or the name is missing.
+    """
+    pads = settings.pads
+    chosen = pads.get(name) if name else next(iter(pads.values())) if len(pads) == 1 else None
+    if chosen is None:
+        wrong = f"{name}: no pad has this name" if name else "several pads are configured"
+        raise ConfigError(f"{wrong}; give --pad one of {', '.join(pads)}")
+    if port is None:
+        return chosen
+    try:
+        # Construct it: replace() would not check the values.
+        sensor = SensorSettings(**(msgspec.structs.asdict(chosen.sensor) | {"port": port}))
+    except ValueError as error:
+        raise ConfigError(f"--port: {error}") from error
+    return msgspec.structs.replace(chosen, sensor=sensor)

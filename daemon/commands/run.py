@@ -12,7 +12,7 @@ from contextlib import ExitStack
 import msgspec
 
 from touchd.daemon.commands.settings import Found, add_config, find_settings, parsed
-from touchd.daemon.config import ConfigError, Settings, config_errors, only_pad
+from touchd.daemon.config import ConfigError, Settings, config_errors
 from touchd.daemon.events import Event, RobotEvent, encode
 from touchd.daemon.health import Health, Notifier
 from touchd.daemon.log import LogWriter
@@ -122,10 +122,11 @@ def main(arguments: Sequence[str]) -> int:
         if options.view:
             from touchd.daemon.terminal.keys import listening
             from touchd.daemon.terminal.view import View, ViewLog
+            from touchd.daemon.words import words_of
 
             (name, first), *_ = settings.pads.items()
             title = f"{first.sensor.port} · {page}" if page else first.sensor.port
-            view = View(title, settings.vocabulary, first.scene.answer_at_frames, pad=name)
+            view = View(title, words_of(settings), first.scene.answer_at_frames, pad=name)
             closing.enter_context(view)
             handler: logging.Handler = ViewLog(view)
             service.show_on(view)
@@ -154,6 +155,8 @@ def _find(options: argparse.Namespace) -> Found:
     if options.port:
         if settings.sensors:
             raise ConfigError("--port is for a single pad; set sensors.NAME.port in the file instead")
+        from touchd.daemon.commands.one_pad import only_pad
+
         settings = only_pad(settings, None, options.port)
     if options.live is not None:
         from touchd.daemon.live.address import parse_address
@@ -176,10 +179,11 @@ def _live_page(settings: Settings) -> tuple[str, str]:
 def _in_words(settings: Settings) -> Callable[[Event], bytes]:
     """Return a function that describes an event in a line, with the pad's name if there are several pads."""
     from touchd.daemon.terminal.describe import describe
+    from touchd.daemon.words import words_of
 
     def line(event: Event) -> bytes:
         pad = f"{event.pad}: " if len(settings.pads) > 1 and not isinstance(event, RobotEvent) else ""
-        return f"{pad}{describe(event, settings.vocabulary)}".encode()
+        return f"{pad}{describe(event, words_of(settings))}".encode()
 
     return line
 

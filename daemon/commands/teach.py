@@ -11,10 +11,10 @@ from pathlib import Path
 import yaml
 from rich.console import Console
 
-from touchd.daemon.commands.one_pad import add_settings, settings_of
+from touchd.daemon.commands.one_pad import add_settings, only_pad, settings_of
 from touchd.daemon.commands.record import LONGEST_S, SHORTEST_S
 from touchd.daemon.commands.settings import SERVICE_FOLDER
-from touchd.daemon.config import ConfigError, Settings, load, only_pad
+from touchd.daemon.config import ConfigError, Settings, load
 from touchd.daemon.parts import load_models
 from touchd.daemon.recorder.capture import PadReader
 from touchd.daemon.recorder.dialogue import HOW, HOW_ONCE, Dialogue, Terms
@@ -22,7 +22,7 @@ from touchd.daemon.recorder.session import Session
 from touchd.daemon.recorder.who import Setting, ask_name, name
 from touchd.daemon.terminal.ask import Stopped, ask
 from touchd.daemon.terminal.width import text_width
-from touchd.daemon.words import name_of
+from touchd.daemon.words import name_of, words_of
 from touchd.drivers.errors import TouchdError, os_errors_as
 from touchd.drivers.installed import program_name
 from touchd.drivers.numbers import within
@@ -81,7 +81,7 @@ def main(arguments: Sequence[str]) -> int:
         _record(console, options, found.settings)
         console.print("\nLearning from them takes about a minute.")
         adapted = adapt_folder(options.folder, output, AdaptSettings())
-        words = found.settings.vocabulary
+        words = words_of(found.settings)
         for line in report_lines(adapted, {label: name_of(words, label) for label in adapted.labels}):
             console.print(line)
         console.print(f"\nThe new model is {output}")
@@ -138,7 +138,7 @@ def _record(console: Console, options: argparse.Namespace, settings: Settings) -
             f"{len(session.takes())} recordings follow one another: hands off, then the gesture until the "
             f"bar is full ({options.seconds:g} s), or once. q stops."
         )
-        names = {gesture: name_of(settings.vocabulary, gesture) for gesture in HOW}
+        names = {gesture: name_of(words_of(settings), gesture) for gesture in HOW}
         terms = Terms(options.seconds, COUNTDOWN_S, "not stated", flowing=True, names=names)
         Dialogue(console, pad, settings, session, terms).run()
 

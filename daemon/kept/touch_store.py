@@ -24,7 +24,7 @@ from typing import TypeAlias
 import numpy as np
 from msgspec import UNSET
 
-from touchd.daemon.config import ConfigError, SensorSettings
+from touchd.daemon.config import ConfigError, SensorSettings, Settings
 from touchd.daemon.events import Event, Label, SensorEvent, Tags, TouchBegan, TouchEnded
 from touchd.daemon.sinks import QueuedSink
 from touchd.drivers.errors import os_errors_as
@@ -299,17 +299,6 @@ def set_up_of(tags: Tags) -> SetUp:
     return participant, substrate, cover
 
 
-def open_stores(journal: Path, most: int, pads: Mapping[str, SensorSettings]) -> dict[str, TouchStore]:
-    """Return a store for each pad, beside the journal; raises ConfigError."""
-    try:
-        return {
-            name: TouchStore(folder_of(journal, name), most, description_of(sensor))
-            for name, sensor in pads.items()
-        }
-    except RecordingError as error:
-        raise ConfigError(f"journal.keep_touches: {error}") from error
-
-
 def description_of(sensor: SensorSettings) -> str:
     """Return a line that says which pad it is and how it is read, for recordings."""
     pad = sensor.described
@@ -460,3 +449,18 @@ class _PadFrames:
         if began is None:
             return None
         return EndedTouch(began, event, frames, self._noticed, end_ms, quiet_from_ms)
+
+
+def keep_touches(settings: Settings) -> TouchSink:
+    """Return the sink that saves touches beside the journal, whose folder is there; raises ConfigError."""
+    journal = settings.journal
+    assert journal is not None, "touches are saved beside a journal"
+    assert journal.keep_touches is not None, "the journal keeps touches"
+    stores = {}
+    for name, pad in settings.pads.items():
+        try:
+            folder, what = folder_of(journal.file, name), description_of(pad.sensor)
+            stores[name] = TouchStore(folder, journal.keep_touches, what)
+        except RecordingError as error:
+            raise ConfigError(f"journal.keep_touches: {error}") from error
+    return TouchSink(stores)

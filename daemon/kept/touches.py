@@ -1,4 +1,4 @@
-"""Groups events by touch, from a pipeline or from a journal."""
+"""Reads events back from lines and journals, and groups them by touch."""
 
 import os
 from collections.abc import Iterable
@@ -7,13 +7,19 @@ from pathlib import Path
 
 import msgspec
 
-from touchd.daemon.events import Event, EventError, Prediction, TouchBegan, TouchEnded, decode
+from touchd.daemon.events import Event, Prediction, TouchBegan, TouchEnded, epoch_s
 from touchd.daemon.journal import MAX_LINE_BYTES, JournalError
 from touchd.drivers.errors import os_errors_as
 from touchd.drivers.whole_file import without_waiting
 
 # Only the end of a journal is read, thousands of touches; a journal may have gigabytes.
 TAIL_BYTES = 4_000_000
+# The year 2500: earlier times fit into the nanoseconds of every format that touchd writes.
+LAST_S = 16_725_225_600.0
+
+
+class EventError(ValueError):
+    """A line is not an event; the message says what is wrong with it."""
 
 
 class ReportedTouch(msgspec.Struct):
@@ -44,6 +50,18 @@ def gather(events: Iterable[Event]) -> list[ReportedTouch]:
             case Prediction() | TouchEnded() if event.pad in latest:
                 latest[event.pad].add(event)
     return touches
+
+
+def decode(line: bytes | str) -> Event:
+    """Return the event that a line of JSON holds; raises EventError when it holds none."""
+    try:
+        event: Event = msgspec.json.decode(line, type=Event)
+        if not 0.0 <= epoch_s(event.time) < LAST_S:
+            raise ValueError(f"time {event.time}")
+    # RecursionError: lists nested too deeply.
+    except (msgspec.DecodeError, ValueError, OverflowError, RecursionError) as error:
+        raise EventError(f"not an event: {error}") from error
+    return event
 
 
 def read_events(path: Path, last_bytes: int | None = None) -> tuple[list[Event], list[EventError]]:

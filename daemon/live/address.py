@@ -11,7 +11,6 @@ import msgspec
 from touchd.daemon.addresses import own_addresses
 from touchd.daemon.config import ConfigError, LiveSettings
 from touchd.drivers.errors import TouchdError
-from touchd.drivers.installed import how_to_install
 
 # Send buffer of a connection: a second or two of frames.
 SEND_BUFFER_BYTES = 16 * 1024
@@ -33,16 +32,6 @@ def parse_address(text: str, configured: LiveSettings | None) -> LiveSettings:
         raise ConfigError(f"--live {text}: not [HOST:]PORT, such as 8054 or 0.0.0.0:8054")
     host = host.removeprefix("[").removesuffix("]") or settings.host
     return msgspec.structs.replace(settings, host=host, port=int(port))
-
-
-def require_library() -> None:
-    """Raise LiveError unless the library that serves the page is installed."""
-    try:
-        import websockets  # noqa: F401 - only whether it is there
-    except ImportError as error:
-        raise LiveError(
-            f"the live page needs a library that is not installed: {how_to_install('live')}"
-        ) from error
 
 
 def listen(settings: LiveSettings) -> socket.socket:

@@ -20,7 +20,7 @@ from touchd.daemon.events import (
     TouchEnded,
 )
 from touchd.daemon.kept.touches import ReportedTouch
-from touchd.daemon.words import SHIPPED, Vocabulary, name_of
+from touchd.daemon.words import SHIPPED, Vocabulary, name_of, words_of
 from touchd.drivers.frame import CLOCK_MODULUS, FRAME_RATE_HZ, NO_TOUCH, Frame
 
 TOUCHES = 12
@@ -184,8 +184,8 @@ class Memory:
             model=model.name if model else "",
             speak_above=scene.speak_above,
             revise_margin=scene.revise_margin,
-            names={label: name_of(settings.vocabulary, label) for label in (*labels, UNCERTAIN)},
-            guesses={label: _guess(settings.vocabulary, label) for label in set(labels) - {NO_TOUCH}},
+            names={label: name_of(words_of(settings), label) for label in (*labels, UNCERTAIN)},
+            guesses={label: _guess(words_of(settings), label) for label in set(labels) - {NO_TOUCH}},
             robot_configured=settings.robot is not None,
             action=self._action,
             sensor=self._sensor,

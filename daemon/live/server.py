@@ -19,15 +19,16 @@ from websockets.asyncio.server import ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode
 
-from touchd.daemon.config import LiveSettings
+from touchd.daemon.config import LiveSettings, Settings
 from touchd.daemon.events import Event, LivePrediction, RobotEvent
-from touchd.daemon.live.address import own_names, urls_of
+from touchd.daemon.live.address import listen, own_names, urls_of
 from touchd.daemon.live.door import Door
 from touchd.daemon.live.memory import Memory, Scene
 from touchd.daemon.live.page import Page
 from touchd.daemon.live.viewers import Viewers
 from touchd.drivers.frame import DEFAULT_PAD, Frame
 from touchd.drivers.queue import DroppingQueue
+from touchd.model.classifier import Classifier
 
 if TYPE_CHECKING:
     from touchd.daemon.labels import Labeller
@@ -277,3 +278,12 @@ def encode_frame(frame: Frame, pad: int = 0) -> bytes:
 
 def encode_message(message: msgspec.Struct) -> str:
     return msgspec.json.encode(message).decode()
+
+
+def open_live_page(
+    settings: Settings, models: Mapping[str, Classifier], labeller: "Labeller | None" = None
+) -> LiveServer:
+    """Return the server of the configured live page; raises LiveError."""
+    assert settings.live is not None, "no live page is configured"
+    scenes = {name: Scene(pad, models[name]) for name, pad in settings.pads.items()}
+    return LiveServer(listen(settings.live), settings.live, scenes, labeller=labeller)

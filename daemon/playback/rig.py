@@ -12,7 +12,8 @@ import msgspec
 import yaml
 
 from touchd.daemon.config import SensorSettings, Settings
-from touchd.daemon.events import Event, decode
+from touchd.daemon.events import Event
+from touchd.daemon.kept.touches import decode
 from touchd.drivers.fakes.encode import encode_frame
 from touchd.drivers.frame import Counts
 

@@ -44,6 +44,7 @@ from touchd.daemon.pipeline import Clock, Pipeline
 from touchd.daemon.playback.stream import DEMO_RECORDING
 from touchd.daemon.reactions import Choice, spoken
 from touchd.daemon.terminal.view import View
+from touchd.daemon.words import words_of
 from touchd.drivers.fakes.fabric import Fabric
 from touchd.drivers.fakes.pointers import PressingHands
 from touchd.drivers.frame import DEFAULT_PAD, FRAME_RATE_HZ, Frame
@@ -85,7 +86,7 @@ class Played:
     ) -> None:
         self._put = put
         self._reactions = Choice(ACTIONS)
-        self._vocabulary = settings.vocabulary
+        self._vocabulary = words_of(settings)
         self.began_ms: dict[int, int] = {}
         # A frame arrives at the sensor's time; real time is added after it, so that latencies are true.
         self._now_s = self._came_s = 0.0
@@ -250,7 +251,7 @@ def picture_terminal(path: Path, size: tuple[int, int]) -> None:
         file=io.StringIO(), width=width, height=height, color_system="truecolor", force_terminal=True
     )
     marks = settings.scene.answer_at_frames
-    view = View("the daemon at work", settings.vocabulary, marks, console)
+    view = View("the daemon at work", words_of(settings), marks, console)
     view.put(SensorEvent(state="up", time=""))
     view.put(RobotEvent(state="up", time=""))
     play(settings, view.put, view.put_live, lambda frame: view.show_frame(frame.pressure, frame.sensor_ms))

@@ -45,9 +45,10 @@ from touchd.daemon.kept.touch_store import (
     kept_touches,
     read_frames,
 )
-from touchd.daemon.parts import load_model, open_live_page
+from touchd.daemon.live.server import open_live_page
+from touchd.daemon.parts import load_model
 from touchd.daemon.pipeline import Pipeline
-from touchd.daemon.sinks import RobotSink
+from touchd.daemon.robot import RobotSink
 from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.frame import FRAME_RATE_HZ, SensorState
 from touchd.drivers.pad.protocol import parser_of

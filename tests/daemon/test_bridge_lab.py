@@ -25,9 +25,9 @@ from touchd.daemon.events import (
     SensorEvent,
     TouchBegan,
     TouchEnded,
-    decode,
     timestamp,
 )
+from touchd.daemon.kept.touches import decode
 from touchd.daemon.parts import bridges_to_others
 
 

@@ -26,7 +26,8 @@ from touchd.daemon.bridges.bridge import Bridge, BridgeError
 from touchd.daemon.bridges.retained import OnBroker, Retained, file_for
 from touchd.daemon.bridges.settings import MqttSettings
 from touchd.daemon.config import PadSettings, SceneSettings, Settings
-from touchd.daemon.events import SensorEvent, decode, encode
+from touchd.daemon.events import SensorEvent, encode
+from touchd.daemon.kept.touches import decode
 from touchd.daemon.parts import bridges_to_others
 
 MQTTv311 = pytest.importorskip("paho.mqtt.client").MQTTv311

@@ -23,7 +23,8 @@ from rigs.wait import WITHIN_S
 from touchd.daemon import cli
 from touchd.daemon.commands import demo
 from touchd.daemon.config import ConfigError, SceneSettings
-from touchd.daemon.events import RobotAction, TouchBegan, TouchEnded, decode
+from touchd.daemon.events import RobotAction, TouchBegan, TouchEnded
+from touchd.daemon.kept.touches import decode
 from touchd.daemon.parts import check_fit
 from touchd.daemon.playback.stream import with_quiet
 from touchd.daemon.terminal.describe import describe

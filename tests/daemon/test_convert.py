@@ -16,7 +16,8 @@ from rigs.made_events import PREDICTION
 from rigs.small_disk import log_on_small_disk, needs_small_disk
 
 from touchd.daemon.cli import main
-from touchd.daemon.events import TouchBegan, decode, encode, epoch_s
+from touchd.daemon.events import TouchBegan, encode, epoch_s
+from touchd.daemon.kept.touches import decode
 from touchd.drivers.recording import read_provenance, read_recordings, write_recordings
 
 EVENTS = [

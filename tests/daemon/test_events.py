@@ -13,7 +13,6 @@ from touchd.daemon.events import (
     MAX_REASON_BYTES,
     EndReason,
     Event,
-    EventError,
     PadState,
     RobotAction,
     RobotEvent,
@@ -21,12 +20,12 @@ from touchd.daemon.events import (
     Stage,
     TouchBegan,
     TouchEnded,
-    decode,
     encode,
     epoch_s,
     timestamp,
 )
 from touchd.daemon.feel import Feel
+from touchd.daemon.kept.touches import EventError, decode
 from touchd.drivers.errors import one_line
 from touchd.model.classifier import ModelMetadata
 

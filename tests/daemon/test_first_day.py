@@ -27,11 +27,11 @@ from touchd.daemon.config import ConfigError, JournalSettings, LiveSettings, Sen
 from touchd.daemon.doctor.line import check_rate
 from touchd.daemon.doctor.listening import Sample
 from touchd.daemon.events import Prediction, TouchEnded, encode
-from touchd.daemon.journal import JournalError
+from touchd.daemon.journal import JournalError, open_journal
 from touchd.daemon.live.address import qr_code, urls_of
-from touchd.daemon.parts import check_pad, load_model, open_journal
+from touchd.daemon.parts import check_pad, load_model
 from touchd.daemon.reactions import Reactions
-from touchd.daemon.sinks import RobotSink
+from touchd.daemon.robot import RobotSink
 from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.frame import DEFAULT_PAD, Frame
 from touchd.drivers.installed import TORCH_ON_CPU, how_to_install, program_name

@@ -27,7 +27,8 @@ from touchd.daemon.commands import init
 from touchd.daemon.commands.init import main
 from touchd.daemon.config import ConfigError, SensorSettings, load
 from touchd.daemon.doctor import hand, machine
-from touchd.daemon.events import SensorEvent, decode
+from touchd.daemon.events import SensorEvent
+from touchd.daemon.kept.touches import decode
 from touchd.daemon.playback.rig import encoder_for
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.pad.format import PRESETS, PadFormat

@@ -15,9 +15,10 @@ from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S, wait_for
 
 from touchd.daemon.config import LiveSettings, Settings
-from touchd.daemon.events import Event, Label, decode, encode
+from touchd.daemon.events import Event, Label, encode
 from touchd.daemon.health import Health, Notifier
 from touchd.daemon.kept.touch_store import TouchStore, folder_of, kept_touches
+from touchd.daemon.kept.touches import decode
 from touchd.daemon.labels import LabelError, Labeller
 from touchd.daemon.service import Service
 from touchd.daemon.terminal.view import View

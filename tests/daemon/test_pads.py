@@ -21,6 +21,7 @@ from rigs.wait import WITHIN_S, wait_for
 from touchd.daemon import cli
 from touchd.daemon.actions import Action, ActionRule
 from touchd.daemon.bridges.settings import MqttSettings
+from touchd.daemon.commands.one_pad import only_pad
 from touchd.daemon.config import (
     MAX_PADS,
     ConfigError,
@@ -30,13 +31,13 @@ from touchd.daemon.config import (
     SensorSettings,
     Settings,
     load,
-    only_pad,
 )
-from touchd.daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, decode
+from touchd.daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded
 from touchd.daemon.kept.touch_store import folder_of, kept_touches
-from touchd.daemon.kept.touches import read_journal
-from touchd.daemon.parts import link_to_robot, make_parts
+from touchd.daemon.kept.touches import decode, read_journal
+from touchd.daemon.parts import make_parts
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
+from touchd.daemon.robot import link_to_robot
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.pad.format import PRESETS
@@ -151,7 +152,6 @@ def test_a_pads_status_is_up_only_after_its_first_frames() -> None:
     with Robot() as robot:
         settings = Settings(sensors={"head": PadSettings()}, robot=RobotSettings(url=robot.url))
         sink = link_to_robot(settings, lambda _: None)
-        assert sink is not None
         sink.start()
         robot.calls.wait_for_raise("TouchGesture/head/Status", "down")
         sink.put(SensorEvent(state="up", time=TIME, pad="head"))
@@ -173,7 +173,6 @@ def test_the_robot_gets_each_pads_events_under_its_name() -> None:
             },
         )
         sink = link_to_robot(settings, lambda _: None, robot.open_session)
-        assert sink is not None
         sink.start()
         for pad in rules:
             sink.put(SensorEvent(state="up" if pad == "head" else "down", time=TIME, pad=pad))

@@ -9,8 +9,9 @@ from rigs.made_events import PREDICTION
 
 from touchd.daemon import actions
 from touchd.daemon.actions import Action, ActionRule, Leds
+from touchd.daemon.config import Language, Words
 from touchd.daemon.reactions import MOST_TOUCHES, Choice, Reactions, spoken
-from touchd.daemon.words import Language, Words, vocabulary
+from touchd.daemon.words import vocabulary
 from touchd.drivers.frame import DEFAULT_PAD
 from touchd.drivers.robot.acting import Act
 from touchd.model.classifier import Classifier

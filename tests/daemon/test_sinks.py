@@ -20,12 +20,13 @@ from rigs.small_disk import log_on_small_disk, needs_small_disk
 from rigs.wait import WITHIN_S, wait_for
 
 from touchd.daemon.config import JournalSettings, Settings
-from touchd.daemon.events import Event, RobotAction, SensorEvent, decode, encode
+from touchd.daemon.events import Event, RobotAction, SensorEvent, encode
 from touchd.daemon.health import Health, Notifier
 from touchd.daemon.journal import Journal, JournalError, JournalSink
-from touchd.daemon.kept.touches import read_since
+from touchd.daemon.kept.touches import decode, read_since
+from touchd.daemon.robot import RobotSink
 from touchd.daemon.service import Service
-from touchd.daemon.sinks import EventFanout, LinesSink, QueuedSink, RobotSink
+from touchd.daemon.sinks import EventFanout, LinesSink, QueuedSink
 from touchd.drivers.robot.link import RobotLink, RobotMessage
 from touchd.drivers.robot.session import RobotSettings
 
@@ -130,7 +131,7 @@ def test_what_a_robot_does_comes_after_its_cause(pipe: tuple[int, int]) -> None:
             fanout.emit(done)
 
     lines = LinesSink("stdout", writer, encode)
-    fanout.hand_to((RobotSink(Link()), lines))
+    fanout.sinks = (lines, RobotSink(Link()))
     fanout.emit(PREDICTION)
     lines.start()
     lines.stop(WITHIN_S)

@@ -30,9 +30,9 @@ from touchd.daemon.journal import Journal, JournalError
 from touchd.daemon.kept.touch_store import TouchStore, kept_touches
 from touchd.daemon.kept.touches import read_journal, read_since
 from touchd.daemon.log import LogWriter
-from touchd.daemon.parts import link_to_robot
 from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
+from touchd.daemon.robot import link_to_robot
 from touchd.daemon.sinks import LinesSink
 from touchd.daemon.staleness import Staleness
 from touchd.drivers.errors import TouchdError

@@ -16,7 +16,8 @@ from rigs.running_daemon import SPEED
 from rigs.wait import WITHIN_S, wait_for
 
 from touchd.daemon import cli
-from touchd.daemon.events import Event, RobotEvent, decode, encode
+from touchd.daemon.events import Event, RobotEvent, encode
+from touchd.daemon.kept.touches import decode
 from touchd.daemon.sinks import EventFanout
 from touchd.daemon.tags import TagError, TagServer, changed
 
@@ -61,7 +62,7 @@ class Listed:
 def tagged() -> Iterator[tuple[EventFanout, Listed]]:
     """Serve tags of a fan-out to one sink, in this process."""
     fanout, sink = EventFanout(), Listed()
-    fanout.hand_to([sink])
+    fanout.sinks = (sink,)
     with TagServer(fanout):
         yield fanout, sink
 

@@ -22,11 +22,12 @@ from rich.console import Console
 from rigs.made_events import PREDICTION
 from rigs.wait import WITHIN_S
 
+from touchd.daemon.config import Language
 from touchd.daemon.events import Prediction, RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
 from touchd.daemon.labels import Labeller, keys_of
 from touchd.daemon.terminal.big_words import big
 from touchd.daemon.terminal.view import View
-from touchd.daemon.words import Language, name_of, vocabulary
+from touchd.daemon.words import name_of, vocabulary
 
 SIZES = [(10, 5), (1, 1), (60, 24), (80, 24), (100, 30), (120, 40), (200, 60), (40, 16), (30, 8)]
 MARKS = (54, 81, 144)

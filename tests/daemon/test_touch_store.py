@@ -33,12 +33,11 @@ from touchd.daemon.kept.touch_store import (
     description_of,
     file_name,
     folder_of,
+    keep_touches,
     kept_touch,
     kept_touches,
-    open_stores,
     read_frames,
 )
-from touchd.daemon.parts import keep_touches
 from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.drivers.frame import NO_TOUCH, Frame
 from touchd.drivers.recording import (
@@ -654,8 +653,8 @@ def test_a_pad_off_54_hz_is_kept_as_sent(tmp_path: Path) -> None:
 
 
 def test_the_description_of_the_pad_is_the_configured_one(tmp_path: Path) -> None:
-    pads = {"pad": SensorSettings(port="/dev/pad")}
-    open_stores(tmp_path / "events.jsonl", 2, pads)["pad"].add(ended_touch(1))
-    (kept,) = kept_touches(tmp_path / "events.jsonl.touches")
+    described = description_of(SensorSettings(port="/dev/pad"))
+    TouchStore(tmp_path, 2, described).add(ended_touch(1))
+    (kept,) = kept_touches(tmp_path)
     assert read_provenance(kept.path)["sensor"].endswith("at 512000 baud on /dev/pad")
     assert description_of(SensorSettings(port="tcp://pad:4000")).endswith("invert True, on tcp://pad:4000")

@@ -45,7 +45,8 @@ from touchd.daemon.log import LogWriter
 from touchd.daemon.monitor import PadMonitor
 from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.daemon.playback.rig import encoder_for
-from touchd.daemon.sinks import EventFanout, RobotSink
+from touchd.daemon.robot import RobotSink
+from touchd.daemon.sinks import EventFanout
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.frame import SensorState
@@ -153,14 +154,8 @@ class World(RuleBasedStateMachine):
             RosbridgeBridge(RosbridgeSettings(url=f"ws://127.0.0.1:{rosbridge}", pressure_hz=10.0), "pad"),
         )
         self.fanout = EventFanout()
-        self.fanout.hand_to(
-            (
-                JournalSink(Journal(self.path, max_bytes=20_000, keep=1)),
-                RobotSink(link),
-                self.page,
-                *self.bridges,
-            )
-        )
+        journal = JournalSink(Journal(self.path, max_bytes=20_000, keep=1))
+        self.fanout.sinks = (journal, self.page, *self.bridges, RobotSink(link))
         for sink in (*self.fanout.sinks, self.log):
             sink.start()
         clock = Clock(monotonic_s=lambda: self.now_s, epoch_s=lambda: 1795168800.0 + self.now_s)

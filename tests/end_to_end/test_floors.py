@@ -130,7 +130,8 @@ def test_every_wing_exists() -> None:
     "names",
     [
         pytest.param({"torch", "onnx", "sklearn", "matplotlib", "scipy"}, id="training, pictures"),
-        pytest.param({"rich", "qi", "websockets", "asyncio"}, id="view, page, robot"),
+        pytest.param({"rich", "websockets", "asyncio"}, id="view, page"),
+        pytest.param({"qi", "touchd.daemon.robot", "touchd.drivers.robot.link"}, id="robot"),
         pytest.param({"paho", "pylsl", "cyclonedds", "mcap", "touchd.daemon.bridges.bridge"}, id="bridges"),
         pytest.param(
             {"touchd.daemon.live", "touchd.daemon.kept", "touchd.drivers.recording"}, id="page, kept touches"

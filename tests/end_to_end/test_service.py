@@ -20,8 +20,9 @@ from rigs.service_manager import Manager
 from rigs.wait import AT_ONCE_S, WITHIN_S
 
 from touchd.daemon.config import JournalSettings, SensorSettings, Settings
-from touchd.daemon.events import SensorEvent, TouchEnded, decode
+from touchd.daemon.events import SensorEvent, TouchEnded
 from touchd.daemon.health import Health, Notifier
+from touchd.daemon.kept.touches import decode
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.fakes.hand import simulate

@@ -1,0 +1,94 @@
+"""The robot as a sink of events: it gets told answers and the pads' states, and acts as the scene asks."""
+
+import itertools
+import time
+from collections.abc import Callable
+
+from touchd.daemon.config import Settings
+from touchd.daemon.events import (
+    MAX_REASON_BYTES,
+    ActionKind,
+    Event,
+    Prediction,
+    RobotAction,
+    RobotEvent,
+    SensorEvent,
+    epoch_s,
+    timestamp,
+)
+from touchd.drivers.errors import one_line
+from touchd.drivers.robot.link import RobotLink, RobotMessage
+from touchd.drivers.robot.session import OpenSession
+from touchd.drivers.robot.worker import LinkState
+
+
+class RobotSink:
+    """Sends told answers and the pads' states to the robot. The link has its own queues and threads.
+
+    react: receives every answer, told or not.
+    """
+
+    name = "robot"
+
+    def __init__(self, link: RobotLink, react: Callable[[Prediction], None] = lambda _: None) -> None:
+        self._link = link
+        self._react = react
+        self._numbers = itertools.count(1)
+
+    def start(self) -> None:
+        self._link.start()
+
+    def put(self, event: Event) -> None:
+        """Send a told prediction to the robot, react to any; returns at once. Call it from one thread."""
+        if isinstance(event, Prediction):
+            if event.told:
+                self._link.publish(self._message(event))
+            self._react(event)
+        elif isinstance(event, SensorEvent):
+            self._link.set_status(event.state, event.pad)
+
+    def stop(self, timeout_s: float) -> None:
+        self._link.stop(timeout_s)
+
+    def _message(self, told: Prediction) -> RobotMessage:
+        return RobotMessage(
+            gesture=told.gesture,
+            confidence=told.confidence,
+            time_s=epoch_s(told.time),
+            stage=told.stage,
+            touch=told.touch,
+            sequence=next(self._numbers),
+            pad=told.pad,
+        )
+
+
+def link_to_robot(
+    settings: Settings, emit: Callable[[Event], None], open_session: OpenSession | None = None
+) -> RobotSink:
+    """Return the link to the configured robot; raises RobotError.
+
+    emit: receives an event when the robot comes, goes or acts, from the link's threads.
+    open_session: how to reach the robot; real qi by default.
+    """
+
+    def report(state: LinkState, reason: str) -> None:
+        why = one_line(reason, MAX_REASON_BYTES)
+        emit(RobotEvent(state=state, time=timestamp(time.time()), reason=why))
+
+    def note(answer: Prediction, kind: ActionKind, what: str) -> None:
+        now = timestamp(time.time())
+        shown = one_line(what, MAX_REASON_BYTES)
+        emit(RobotAction(touch=answer.touch, action=kind, what=shown, time=now, pad=answer.pad))
+
+    assert settings.robot is not None, "no robot is configured"
+    rules = {name: pad.scene.actions for name, pad in settings.pads.items()}
+    link = RobotLink(settings.robot, report, open_session, pads=rules, acts=any(rules.values()))
+    for name in settings.pads:
+        # Report "down" until frames come: a program that waits for "up" must not find a missing pad up.
+        link.set_status("down", name)
+    if not any(rules.values()):
+        return RobotSink(link)
+    from touchd.daemon.reactions import Reactions
+    from touchd.daemon.words import words_of
+
+    return RobotSink(link, Reactions(rules, words_of(settings), link.act, note).on_answer)
