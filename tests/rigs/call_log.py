@@ -3,6 +3,8 @@
 import threading
 from collections.abc import Callable
 
+from rigs.wait import SOON_S
+
 from touchd.drivers.fakes.services import Call
 
 
@@ -37,14 +39,14 @@ class CallLog:
         """Return what the robot said, plainly or animated, oldest first."""
         return [call.arguments[0] for call in self.all() if call.method == "say"]
 
-    def wait_for(self, wanted: Callable[[Call], bool], timeout_s: float = 50.0) -> Call:
+    def wait_for(self, wanted: Callable[[Call], bool], timeout_s: float = SOON_S) -> Call:
         """Return the first matching call, waiting for it; raises TimeoutError with the last calls."""
         with self._grew:
             if not self._grew.wait_for(lambda: any(map(wanted, self._calls)), timeout_s):
                 raise TimeoutError(f"not within {timeout_s:g} s; the last calls were {self._calls[-5:]}")
             return next(filter(wanted, self._calls))
 
-    def wait_for_raise(self, event: str, value: object, timeout_s: float = 50.0) -> Call:
+    def wait_for_raise(self, event: str, value: object, timeout_s: float = SOON_S) -> Call:
         """Return the call that raised an event with this value; raises TimeoutError."""
         return self.wait_for(
             lambda call: _is_raise(call, event) and call.arguments[1] == value, timeout_s=timeout_s
