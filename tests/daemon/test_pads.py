@@ -16,7 +16,7 @@ from rigs.programs import TOUCHD, Program
 from rigs.robots import Robot
 from rigs.running_daemon import run_daemon
 from rigs.sockets import free_port
-from rigs.wait import WITHIN_S, wait_for, wait_for
+from rigs.wait import WITHIN_S, wait_for
 
 from touchd.daemon import cli
 from touchd.daemon.actions import Action, ActionRule
