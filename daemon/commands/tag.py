@@ -70,7 +70,10 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def _request(pid: int, tags: list[str]) -> Reply | None:
-    """Send tags to a daemon; return its reply, None if it does not reply to this user."""
+    """Send tags to a daemon; return its reply, None if it does not reply to this user.
+
+    Raises TagError if it hangs.
+    """
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as connection:
             connection.settimeout(2 * ANSWER_WITHIN_S)
@@ -80,5 +83,9 @@ def _request(pid: int, tags: list[str]) -> Reply | None:
                 return None
             connection.send(msgspec.json.encode(tags))
             return msgspec.json.decode(connection.recv(MOST_BYTES), type=Reply)
+    except TimeoutError as error:
+        raise TagError(
+            f"touchd, process {pid}, does not answer; try again, or choose another with --pid"
+        ) from error
     except (OSError, msgspec.DecodeError):
         return None

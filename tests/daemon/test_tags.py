@@ -2,6 +2,7 @@
 
 import json
 import os
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -19,7 +20,7 @@ from touchd.daemon import cli
 from touchd.daemon.events import Event, RobotEvent, encode
 from touchd.daemon.kept.touches import decode
 from touchd.daemon.sinks import EventFanout
-from touchd.daemon.tags import TagError, TagServer, changed
+from touchd.daemon.tags import ADDRESS, TagError, TagServer, changed
 
 SERVE = """
 import sys
@@ -133,6 +134,14 @@ def test_of_two_daemons_one_has_to_be_chosen(capsys: pytest.CaptureFixture[str])
         assert tag("participant=P07") == 0
         assert fanout.tags == {"participant": "P07"}
         other.communicate()
+
+
+def test_a_daemon_that_hangs_is_not_another_users(capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as hanging:
+        hanging.bind(ADDRESS.format(pid=os.getpid()))
+        hanging.listen()
+        assert tag("participant=P07") == 2
+    assert f"touchd, process {os.getpid()}, does not answer" in capsys.readouterr().err
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
