@@ -63,8 +63,10 @@ class Retained:
         gone = {file: memory for file, memory in others.items() if not _exists(memory.config)}
         living = [on for file, memory in others.items() if file not in gone for on in memory.brokers]
         remembered = [*(on for memory in gone.values() for on in memory.brokers), *_read(self._file).brokers]
-        in_use = [*living, *([present] if present is not None else [])]
-        self.former = tuple(left for on in _merged(remembered) if (left := on.without(in_use)).topics)
+        now = [present] if present is not None else []
+        # A broker that is used now is reached as now: its login may have changed.
+        before = _merged([*remembered, *(OnBroker(on.broker, ()) for on in now)])
+        self.former = tuple(left for on in before if (left := on.without([*living, *now])).topics)
         # Before anything is published: if the daemon is killed in between, nothing is forgotten.
         self._write()
         for file in gone:

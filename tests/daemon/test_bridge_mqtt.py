@@ -368,6 +368,20 @@ def test_a_former_broker_is_cleared_once_it_is_there_and_forgotten(
         stop(clearing)
 
 
+def test_a_former_topic_is_cleared_with_the_present_login(tmp_path: Path, configured: Configured) -> None:
+    port = free_port()
+    with broker(tmp_path, port):
+        before = configured("a.yaml", announced(port, topic="old", discovery=None))
+        wait_for(lambda: all_retained(port).keys() == {"old/pad/state"})
+        stop(*before)
+    password = tmp_path / "password"
+    password.write_text("s3cret")
+    with broker(tmp_path, port, only_robot(tmp_path)):
+        login = {"user": "robot", "password_file": str(password)}
+        _, clearing = configured("a.yaml", announced(port, topic="new", discovery=None, **login))
+        wait_for(clearing._peer_is_there.is_set)
+
+
 def test_the_late_last_will_of_a_former_configuration_is_cleared(port: int, configured: Configured) -> None:
     before = configured("a.yaml", announced(port, topic="old", discovery=None))
     wait_for(lambda: all_retained(port).keys() == {"old/pad/state"})
