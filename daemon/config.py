@@ -191,7 +191,9 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
                 raise ValueError(f"sensors: {name}: ROS and Home Assistant take only a to z, 0 to 9 and _")
         named: dict[str, str] = {}
         for pad in self.sensors.values():
-            device = pad.port.lower() if "://" in pad.port else os.path.realpath(pad.port)
+            # A port of UDP is one, at whichever of this computer's addresses.
+            address = re.sub(r"^udp://.*:", "udp://:", pad.port.lower())
+            device = address if "://" in address else os.path.realpath(pad.port)
             other = named.get(device)
             if other is not None:
                 same = f", the same device as {other}," if other != pad.port else ""

@@ -205,6 +205,10 @@ def test_the_robot_gets_each_pads_events_under_its_name() -> None:
         ),
         ("sensors: {'a b': {}}", "invalid pad name 'a b'"),
         ("sensors: {a: {}, b: {}}", "/dev/touchd-pad is the port of more than one pad"),
+        (
+            "sensors: {a: {port: 'udp://0.0.0.0:4000'}, b: {port: 'udp://127.0.0.1:4000'}}",
+            "udp://127.0.0.1:4000, the same device as udp://0.0.0.0:4000, is the port of more than one pad",
+        ),
         ("sensors: {a: {}}\nsensor: {baud: 9600}", "sensor and sensors are both set; keep one"),
     ],
 )
