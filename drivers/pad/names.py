@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 BY_ID, BY_PATH = Path("/dev/serial/by-id"), Path("/dev/serial/by-path")
 TTY = Path("/sys/class/tty")
+# Arduino and Teensy: the udev rule gives their boards the name /dev/touchd-pad.
+VENDORS_OF_THE_RULE = {"2341", "2a03", "16c0"}
 
 
 class LastingName(NamedTuple):
@@ -27,7 +29,7 @@ class Board(NamedTuple):
 def lasting_name(port: str, by_id: Path = BY_ID, by_path: Path = BY_PATH, tty: Path = TTY) -> LastingName:
     """Return the best name for a port.
 
-    /dev/ttyACM0 is whichever board was plugged in first, and two boards of a kind both claim /dev/touchd-pad.
+    /dev/ttyACM0 is whichever board was plugged in first, and two boards may both claim /dev/touchd-pad.
     A name that the user chose, other than these, is returned as it is.
     """
     device = os.path.realpath(port)
@@ -38,7 +40,8 @@ def lasting_name(port: str, by_id: Path = BY_ID, by_path: Path = BY_PATH, tty: P
     own = boards.get(Path(device).name)
     others = {board for board in boards.values() if own and board.place != own.place}
     alike = [board for board in others if own and (board.vendor, board.product) == (own.vendor, own.product)]
-    if os.path.islink(port) and not alike:
+    rivals = [board for board in others if board in alike or board.vendor in VENDORS_OF_THE_RULE]
+    if os.path.islink(port) and not rivals:
         return LastingName(port, "the name that the udev rule gives this board")
     has_number = own is not None and own.serial and own.serial not in {board.serial for board in alike}
     if has_number and (name := _link_to(device, by_id)):

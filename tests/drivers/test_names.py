@@ -70,11 +70,14 @@ def test_the_ports_of_one_board_are_told_apart_by_its_number(machine: Machine) -
     assert Path(machine.name(str(device)).port).name == "usb-2341_0042_A17-if02"
 
 
-def test_the_udev_rules_name_is_kept_unless_two_boards_claim_it(machine: Machine) -> None:
+@pytest.mark.parametrize("kind", ["2341 0042", "16c0 0483"], ids=["another Mega", "a Teensy"])
+def test_the_udev_rules_name_is_kept_unless_two_boards_claim_it(machine: Machine, kind: str) -> None:
     link = machine.root / "dev/touchd-pad"
     link.symlink_to(machine.plug("ttyACM0", "1-1", "A17"))
     assert machine.name(str(link)).port == str(link)
-    machine.plug("ttyACM1", "1-2", "B4")
+    machine.plug("ttyUSB0", "1-2", "", "1a86 7523")
+    assert machine.name(str(link)).port == str(link)
+    machine.plug("ttyACM1", "1-3", "B4", kind)
     assert Path(machine.name(str(link)).port).name == "usb-2341_0042_A17-if00"
 
 
