@@ -1,20 +1,4 @@
-"""The rules for the robot's reactions, as configured; `reactions.py` applies them.
-
-In the configuration:
-
-actions:
-  - gestures: [stroke, rub]            # left out: any gesture
-    stages: [final, released]          # left out: whenever the answer is news
-    do:                                # in this order
-      - leds: {color: green, fade_s: 0.2}
-      - say: "That was {phrase}, I am {confidence} percent sure"
-    refractory_s: 5                    # left out: 0
-  - gestures: [tickle]
-    changed: true                      # only when the robot was told something else in this touch
-    do:
-      - animated_say: "Oh, that was a tickle!"
-      - behavior: animations/Stand/Emotions/Positive/Laugh_1
-"""
+"""The rules for the robot's reactions, as in touchd.example.yaml; `reactions.py` applies them."""
 
 import re
 import string

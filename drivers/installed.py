@@ -3,6 +3,7 @@
 import importlib.util
 import json
 import os
+import platform
 import shlex
 import shutil
 import sys
@@ -58,6 +59,13 @@ def how_to_install(extra: str) -> str:
     if importlib.util.find_spec("pip") is None:
         return shlex.join([*sudo, "uv", "pip", "install", "--python", sys.executable, *uvs, *wanted])
     return _with_torch_alone([*sudo, sys.executable, "-m", "pip", "install"], wanted, [], "--index-url={}")
+
+
+def how_to_get_qi() -> str:
+    """Return how to install qi, which has wheels for some computers and versions of Python only."""
+    has_wheel = sys.version_info < (3, 13) and platform.machine() == "x86_64"
+    how = how_to_install("nao") if has_wheel else "`touchd docs install` tells how"
+    return f"{how} (Linux x86_64, Python 3.10 to 3.12)"
 
 
 def _with_torch_alone(install: Sequence[str], wanted: Sequence[str], into: Sequence[str], index: str) -> str:

@@ -64,19 +64,16 @@ class FrameClock:
         self._check = ClockCheck(counts)
         self._arrivals = ArrivalClock(rate_hz)
         self._rate_hz = rate_hz
-        self._unit_ms: float | None = UNITS_MS[0]
-        self._is_chosen = False
-        self._windows: deque[_Window] = deque(maxlen=FIRST_WINDOWS)
-        self._window: _Window | None = None
+        self.reset()
 
     def reset(self) -> None:
         """Forget the clock: the port was reopened, and may lead to another pad."""
         self._check.reset()
         self._arrivals.reset()
-        self._unit_ms = UNITS_MS[0]
+        self._unit_ms: float | None = UNITS_MS[0]
         self._is_chosen = False
-        self._windows = deque(maxlen=FIRST_WINDOWS)
-        self._window = None
+        self._windows: deque[_Window] = deque(maxlen=FIRST_WINDOWS)
+        self._window: _Window | None = None
 
     @property
     def dates_frames(self) -> bool:
@@ -192,16 +189,16 @@ class ClockCheck:
 
     def __init__(self, counts: ProtocolCounts) -> None:
         self._counts = counts
-        self._last: Reading | None = None
         self._held: list[Reading] = []
-        # When the clock that is followed was first seen, and what to add to it after restarts.
+        # When the clock that is followed was first seen.
         self._since_s = 0.0
-        self._ahead_ms = 0
         self._jumped_s = -math.inf
+        self.reset()
 
     def reset(self) -> None:
         """Forget the clock: the port was reopened, and the sensor may have restarted."""
-        self._last = None
+        self._last: Reading | None = None
+        # What to add to the clock after restarts.
         self._ahead_ms = 0
         self._refuse_held()
 
@@ -274,14 +271,14 @@ class ArrivalClock:
     """
 
     def __init__(self, rate_hz: float) -> None:
-        self._stated_s = self._period_s = 1 / rate_hz
-        self._expected_s: float | None = None
+        self._stated_s = 1 / rate_hz
         self._last_ms = 0
+        self.reset()
 
     def reset(self) -> None:
         """Restart with the next frame."""
         self._period_s = self._stated_s
-        self._expected_s = None
+        self._expected_s: float | None = None
 
     def stamp_ms(self, host_s: float) -> int:
         """Return the stamp (uint32 ms) of a frame that arrived at `host_s`; it falls only after a flood."""

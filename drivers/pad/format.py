@@ -162,23 +162,13 @@ class Layout:
             shares = shares[:, ::-1]
         self._shares: Grid = np.ascontiguousarray(shares.reshape(ROWS * COLUMNS, -1), dtype=np.float32)
         self._scale = np.float32(MAX_COUNT / described.full_scale)
-        # The cell of each taxel, if each taxel is one cell in counts.
-        is_plain = self._scale == 1 and np.count_nonzero(self._shares) == ROWS * COLUMNS
-        self._cells = self._shares.argmax(axis=1).reshape(ROWS, COLUMNS) if is_plain else None
 
     def pressure(self, values: Values) -> Counts:
         """Turn values (cells,) from 0 to full_scale into pressure (8, 8) uint16, read-only."""
-        counts: Counts
-        if self._cells is not None:
-            counts = values.take(self._cells)
-            if self._format.invert:
-                counts = MAX_COUNT - counts
-            counts = counts.astype(np.uint16, copy=False)
-        else:
-            laid = (self._shares @ values.astype(np.float32)) * self._scale
-            if self._format.invert:
-                laid = MAX_COUNT - laid
-            counts = np.rint(laid).astype(np.uint16).reshape(ROWS, COLUMNS)
+        laid = (self._shares @ values.astype(np.float32)) * self._scale
+        if self._format.invert:
+            laid = MAX_COUNT - laid
+        counts: Counts = np.rint(laid).astype(np.uint16).reshape(ROWS, COLUMNS)
         counts.flags.writeable = False
         return counts
 

@@ -3,9 +3,7 @@
 import importlib
 import importlib.util
 import os
-import platform
 import re
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -129,14 +127,11 @@ def load_qi() -> Any:
     try:
         qi = importlib.import_module("qi")
     except ImportError as error:
-        from touchd.drivers.installed import how_to_install
+        from touchd.drivers.installed import how_to_get_qi
 
         why = "is not installed" if not qi_installed() else f"cannot be loaded ({error})"
-        has_wheel = sys.version_info < (3, 13) and platform.machine() == "x86_64"
-        instead = how_to_install("nao") if has_wheel else "`touchd docs install` tells how"
         raise RobotError(
-            f"qi, the library that speaks to NAOqi, {why}; "
-            f"{instead} (Linux x86_64, Python 3.10 to 3.12), or set robot: null"
+            f"qi, the library that speaks to NAOqi, {why}; {how_to_get_qi()}, or set robot: null"
         ) from error
     # libqi logs to stdout, which is the daemon's stream of events.
     qi.logging.setLevel(qi.logging.SILENT)
