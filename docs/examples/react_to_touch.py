@@ -7,7 +7,10 @@ Docker prevent. For NAOqi 2.9: python react_to_touch.py tcps://pepper.local:9503
 import sys
 import time
 
-import qi
+try:
+    import qi
+except ImportError:
+    sys.exit("qi is not installed; in a clone, `make setup` installs it: .venv/bin/python react_to_touch.py")
 
 
 class NaoqiPassword:
@@ -30,20 +33,27 @@ qi.logging.setLevel(qi.logging.SILENT)
 session = qi.Session()
 if len(sys.argv) > 2:
     session.setClientAuthenticatorFactory(NaoqiPassword(sys.argv[2]))
-session.connect(url)
+try:
+    session.connect(url)
+except RuntimeError as error:
+    sys.exit(f"{url}: {error}; is the robot on, and is this its address?")
 memory = session.service("ALMemory")
 speech = session.service("ALTextToSpeech")
 last = None
-while True:
-    try:
-        detail = memory.getData("TouchGesture/Detail")
-    except RuntimeError:
-        detail = last
-    # The last number rises with every message.
-    if detail is not None and (last is None or detail[5] != last[5]):
-        gesture, confidence, _, stage, touch, _ = detail
-        print(f"touch {touch}: {gesture} ({confidence:.0%}, {stage})", flush=True)
-        if gesture == "stroke":
-            speech.say("That is nice.")
-    last = detail
-    time.sleep(0.05)
+try:
+    while session.isConnected():
+        try:
+            detail = memory.getData("TouchGesture/Detail")
+        except RuntimeError:
+            detail = last
+        # The last number rises with every message.
+        if detail is not None and (last is None or detail[5] != last[5]):
+            gesture, confidence, _, stage, touch, _ = detail
+            print(f"touch {touch}: {gesture} ({confidence:.0%}, {stage})", flush=True)
+            if gesture == "stroke":
+                speech.say("That is nice.")
+        last = detail
+        time.sleep(0.05)
+except KeyboardInterrupt:
+    sys.exit(0)
+sys.exit(f"{url}: the robot has gone")

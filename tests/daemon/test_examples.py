@@ -12,7 +12,8 @@ from rigs.expectations import DEMO
 from rigs.patient_port import playing
 from rigs.programs import Program, ran
 from rigs.robots import Robot, linked, message
-from rigs.wait import wait_for
+from rigs.sockets import free_port
+from rigs.wait import WITHIN_S, wait_for
 
 EXAMPLES = Path(__file__).parents[2] / "docs/examples"
 
@@ -31,6 +32,19 @@ def test_the_python_example_without_a_robot_shows_its_usage() -> None:
     done = ran([sys.executable, EXAMPLES / "react_to_touch.py"])
     assert done.returncode == 1
     assert done.stderr.startswith("usage: python react_to_touch.py ADDRESS")
+
+
+def test_the_python_example_says_in_a_line_why_it_ends() -> None:
+    missing = ran([sys.executable, EXAMPLES / "react_to_touch.py", f"tcp://127.0.0.1:{free_port()}"])
+    assert "is the robot on" in missing.stderr
+    assert len(missing.stderr.splitlines()) == 1
+    with Robot() as robot, linked(robot) as (link, states):
+        states.wait_for("up")
+        with Program(sys.executable, EXAMPLES / "react_to_touch.py", robot.url) as example:
+            link.publish(message("pat", touch=3))
+            assert example.stdout.readline().startswith("touch 3: pat")
+            example.send_signal(signal.SIGINT)
+            assert example.wait(WITHIN_S) == 0
 
 
 def test_the_event_iterator_follows_a_daemon(monkeypatch: pytest.MonkeyPatch) -> None:
