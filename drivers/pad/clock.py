@@ -136,7 +136,7 @@ class FrameClock:
         """
         rates = sorted(window.rate for window in self._windows)
         stands = any(window.standing > window.frames // 4 for window in self._windows)
-        if stands or rates[-1] > ALIKE * rates[0]:
+        if stands or rates[-1] >= ALIKE * rates[0]:
             if all(2 * w.delivered < w.frames for w in self._windows):
                 return None, f"the pad's clock stands still or jumps{NOT_USED}"
             return self._unit_ms, None

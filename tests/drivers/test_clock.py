@@ -313,6 +313,13 @@ def test_a_clock_that_restarts_is_dated_on_by_arrival(unit: float, period_s: flo
     )
 
 
+@pytest.mark.parametrize("period_s", [0.05, 0.1, 0.25, 0.5])
+def test_a_clock_that_begins_again_within_each_window_loses_no_frame(period_s: float) -> None:
+    # After a window it may read what it read before.
+    _, frames = dated(lambda second: int(1000 * second) % (1000 * period_s), 20.0)
+    assert len(frames) >= 54 * 20 - 1
+
+
 @pytest.mark.parametrize("pause_s", [0.8, 5.0])
 def test_a_pause_while_the_board_starts_is_dated_as_long_as_it_was(pause_s: float) -> None:
     _, frames = dated(
