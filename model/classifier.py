@@ -16,8 +16,8 @@ from touchd.drivers.errors import TouchdError, os_errors_as
 from touchd.drivers.frame import COLUMNS, MAX_COUNT, ROWS
 
 SHIPPED_MODEL = Path(__file__).parent / "weights" / "touchd.onnx"
-MAX_FILE_BYTES = 32 * 1024 * 1024
 METADATA_KEY = "touchd"
+ADVICE = "check `model` in the configuration"
 # Pads in the training data rest at up to 8 counts on average, and at up to 28 in a single taxel.
 KNOWN_REST_COUNTS, KNOWN_TAXEL_COUNTS = 10.0, 30.0
 
@@ -169,12 +169,7 @@ def _open_session(path: Path, threads: int) -> onnxruntime.InferenceSession:
     options.add_session_config_entry("session.model_external_initializers_file_folder_path", os.devnull)
     # A spinning pool would burn the idle core of a robot's companion computer.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    advice = "check `model` in the configuration"
-    with os_errors_as(ModelError, f"{path}: the model cannot be read", advice):
-        if path.is_fifo() or path.is_char_device():
-            raise ModelError(f"{path}: is not a file; {advice}")
-        if path.stat().st_size > MAX_FILE_BYTES:
-            raise ModelError(f"{path}: larger than {MAX_FILE_BYTES >> 20} MiB; not a touchd model")
+    with os_errors_as(ModelError, f"{path}: the model cannot be read", ADVICE):
         content = path.read_bytes()
         _check_digest(path, content)
     try:
@@ -187,7 +182,7 @@ def _open_session(path: Path, threads: int) -> onnxruntime.InferenceSession:
         )
     except Exception as error:  # ONNX Runtime raises its own undocumented types
         why = str(error).splitlines()[0]
-        raise ModelError(f"{path}: ONNX Runtime refuses the file ({why}); {advice}") from error
+        raise ModelError(f"{path}: ONNX Runtime refuses the file ({why}); {ADVICE}") from error
 
 
 def digest_file(path: Path) -> Path:

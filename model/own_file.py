@@ -6,16 +6,24 @@ from pathlib import Path
 import numpy as np
 import onnxruntime
 
+from touchd.drivers.errors import os_errors_as
 from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
-from touchd.model.classifier import Classifier, ModelError, ModelMetadata
+from touchd.model.classifier import ADVICE, Classifier, ModelError, ModelMetadata
 
+MAX_FILE_BYTES = 32 * 1024 * 1024
 TRIAL_S = 10.0
 TRIAL_FRAMES = 54
 
 
-def load_own(path: Path, threads: int = 1) -> Classifier:
+def load_own(path: Path) -> Classifier:
     """Load a file that may come from anywhere; raises ModelError if it is not a model for this pad."""
-    classifier = Classifier.load(path, threads)
+    with os_errors_as(ModelError, f"{path}: the model cannot be read", ADVICE):
+        # Reading a pipe or a device may never end.
+        if path.is_fifo() or path.is_char_device():
+            raise ModelError(f"{path}: is not a file; {ADVICE}")
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise ModelError(f"{path}: larger than {MAX_FILE_BYTES >> 20} MiB; not a touchd model")
+    classifier = Classifier.load(path)
     _check_fit(path, classifier.metadata, classifier.session)
     _try_out(path, classifier.metadata, classifier.session)
     return classifier

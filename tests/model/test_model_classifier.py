@@ -11,7 +11,6 @@ import pytest
 
 from touchd.drivers.frame import FRAME_RATE_HZ
 from touchd.model.classifier import (
-    MAX_FILE_BYTES,
     METADATA_KEY,
     SHIPPED_MODEL,
     Classifier,
@@ -21,7 +20,7 @@ from touchd.model.classifier import (
     as_known,
     digest_file,
 )
-from touchd.model.own_file import load_own
+from touchd.model.own_file import MAX_FILE_BYTES, load_own
 from touchd.model.settings import LENGTHS
 from touchd.model.studies.checks.hard_cases import hand
 from touchd.model.studies.checks.stability import chunked
