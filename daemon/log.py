@@ -1,22 +1,16 @@
 """The log of the daemon and its libraries: printable, limited in rate, written by its own thread."""
 
 import logging
-import queue
 import threading
 import time
-from contextlib import suppress
-from logging.handlers import QueueHandler, QueueListener
-from typing import Any
 
-from touchd.daemon.sinks import written_in_pieces
+from touchd.daemon.sinks import LinesSink
 from touchd.drivers.errors import one_line
 
 # Lines that one place in the code may log in this time: enough for sixteen pads, too few to fill a disk.
 MOST_LINES = 60
 WHILE_S = 60.0
 MOST_TRACE_LINES = 100
-# Records that wait for a slow reader of the log.
-CAPACITY = 1000
 LINE = logging.Formatter("%(levelname)s %(name)s: %(message)s")
 _TRACE = logging.Formatter()
 
@@ -69,54 +63,30 @@ class _Place:
         return True
 
 
-class LogWriter(QueueHandler):
-    """Writes the records that the gate lets through to a file descriptor, in its own thread.
+class LogWriter(logging.Handler):
+    """Writes the records that the gate lets through to a file descriptor, in its own thread."""
 
-    If the reader is slow or gone, records are dropped and the daemon goes on. The next line says how many.
-    """
-
-    def __init__(self, fd: int, capacity: int = CAPACITY) -> None:
-        self._waiting: queue.Queue[Any] = queue.Queue(capacity)
-        super().__init__(self._waiting)
+    def __init__(self, fd: int) -> None:
+        super().__init__()
         self.addFilter(LogGate())
-        self.dropped = 0
-        self._fd = fd
-        self._abandoned = threading.Event()
-        writer = logging.Handler()
-        writer.emit = self._write  # type: ignore[method-assign]
-        self._listener = _Listener(self._waiting, writer)
+        self._lines = LogLines(fd)
+        self.start, self.stop = self._lines.start, self._lines.stop
 
-    def start(self) -> None:
-        self._listener.start()
-
-    def stop(self, timeout_s: float) -> None:
-        """Write what is queued, for at most `timeout_s`."""
-        giving_up = threading.Timer(timeout_s, self._abandoned.set)
-        giving_up.start()
-        self._listener.stop()
-        giving_up.cancel()
-
-    def enqueue(self, record: logging.LogRecord) -> None:
-        try:
-            if self.dropped:
-                gap = f"{self.dropped} lines of the log were dropped: nobody read them"
-                self._waiting.put_nowait(logging.LogRecord(__name__, logging.WARNING, "", 0, gap, None, None))
-                self.dropped = 0
-            self._waiting.put_nowait(record)
-        except queue.Full:
-            self.dropped += 1
-
-    def _write(self, record: logging.LogRecord) -> None:
-        data = f"{LINE.format(record)}\n".encode(errors="replace")
-        # A full disk, or a reader that is gone.
-        with suppress(OSError):
-            for _ in written_in_pieces(self._fd, data, self._abandoned):
-                pass
+    def emit(self, record: logging.LogRecord) -> None:
+        self._lines.put(record)
 
 
-class _Listener(QueueListener):
-    """A QueueListener whose end marker waits for room in the queue."""
+class LogLines(LinesSink[logging.LogRecord]):
+    """The lines of the log. If their reader is slow, the oldest are dropped; the next line says how many."""
 
-    def enqueue_sentinel(self) -> None:
-        assert isinstance(self.queue, queue.Queue)
-        self.queue.put(None)
+    def __init__(self, fd: int) -> None:
+        # The sink must not log into itself.
+        unseen = logging.getLogger(f"{__name__}.unseen")
+        unseen.disabled = True
+        super().__init__("log", fd, lambda record: LINE.format(record).encode(errors="replace"), log=unseen)
+
+    def _note_dropped(self) -> None:
+        lost, self._dropped_before = self.dropped - self._dropped_before, self.dropped
+        if lost:
+            gap = f"{lost} lines of the log were dropped: nobody read them"
+            self.write(logging.LogRecord(__name__, logging.WARNING, "", 0, gap, None, None))

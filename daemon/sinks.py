@@ -7,7 +7,7 @@ import select
 import threading
 import typing
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from typing import Generic, TypeVar
 
 import msgspec
@@ -133,15 +133,6 @@ def _may_drop(item: object) -> bool:
     return item is not None and not isinstance(item, SensorEvent | RobotEvent)
 
 
-def written_in_pieces(fd: int, data: bytes, abandoned: threading.Event) -> Iterator[bytes]:
-    """Write to a slow reader until `abandoned` is set; yield what is left after each piece."""
-    while data and not abandoned.is_set():
-        # A write of at most PIPE_BUF bytes to a pipe that is writable does not block (POSIX).
-        if select.select([], [fd], [], WRITABLE_WAIT_S)[1]:
-            data = data[os.write(fd, data[: select.PIPE_BUF]) :]
-            yield data
-
-
 class LinesSink(QueuedSink[Item]):
     """Writes lines to a file descriptor, which may have no reader or a full disk.
 
@@ -150,9 +141,14 @@ class LinesSink(QueuedSink[Item]):
     """
 
     def __init__(
-        self, name: str, fd: int, form: Callable[[Item], bytes], on_gone: Callable[[], None] = lambda: None
+        self,
+        name: str,
+        fd: int,
+        form: Callable[[Item], bytes],
+        on_gone: Callable[[], None] = lambda: None,
+        log: logging.Logger = log,
     ) -> None:
-        super().__init__(name)
+        super().__init__(name, log)
         self._fd = fd
         self._form = form
         self._on_gone = on_gone
@@ -163,8 +159,11 @@ class LinesSink(QueuedSink[Item]):
         # First end the line that a full disk cut off.
         data = b"\n" * self._is_cut_off + self._form(item) + b"\n"
         try:
-            for left in written_in_pieces(self._fd, data, self._abandoned):
-                self._is_cut_off = bool(left)
+            while data and not self._abandoned.is_set():
+                # A write of at most PIPE_BUF bytes to a pipe that is writable does not block (POSIX).
+                if select.select([], [self._fd], [], WRITABLE_WAIT_S)[1]:
+                    data = data[os.write(self._fd, data[: select.PIPE_BUF]) :]
+                    self._is_cut_off = bool(data)
         except OSError as error:
             if error.errno in DISK_FULL:
                 self._items.dropped += 1

@@ -8,10 +8,10 @@ import struct
 import threading
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from typing import Protocol
 
 import msgspec
 
+from touchd.daemon.sinks import EventFanout
 from touchd.drivers.errors import TouchdError
 
 log = logging.getLogger(__name__)
@@ -29,12 +29,6 @@ CREDENTIALS = struct.Struct("3i")
 
 class TagError(TouchdError):
     """A tag cannot be used; the message is one line that says why."""
-
-
-class Tagged(Protocol):
-    """Something that puts tags into events."""
-
-    tags: Mapping[str, str]
 
 
 class Reply(msgspec.Struct):
@@ -81,8 +75,8 @@ def peer_of(connection: socket.socket) -> tuple[int, int]:
 class TagServer:
     """Takes tags from `touchd tag`, for this user and root, while the daemon runs. A context manager."""
 
-    def __init__(self, tagged: Tagged) -> None:
-        self._tagged = tagged
+    def __init__(self, events: EventFanout) -> None:
+        self._events = events
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._thread = threading.Thread(target=self._serve, name="touchd-tags", daemon=True)
 
@@ -112,12 +106,12 @@ class TagServer:
                         connection.send(msgspec.json.encode(self._answer(connection.recv(MOST_BYTES))))
 
     def _answer(self, request: bytes) -> Reply:
-        before = dict(self._tagged.tags)
+        before = dict(self._events.tags)
         try:
             new = changed(before, msgspec.json.decode(request, type=list[str]))
         except (TagError, msgspec.DecodeError, RecursionError) as error:
             return Reply(before, str(error))
         if new != before:
-            self._tagged.tags = new
+            self._events.tags = new
             log.info("tags: %s", in_words(new))
         return Reply(new)
