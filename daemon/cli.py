@@ -8,9 +8,6 @@ import sys
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from touchd.drivers.errors import TouchdError
-
-USERS_MISTAKE = 2
 INTERRUPTED = 130
 # These run until a signal ends them; their exit code is then 0.
 UNTIL_ENDED = ("run", "demo", "replay", "fake-pad", "fake-robot")
@@ -46,10 +43,6 @@ COMMANDS = (
 )
 
 
-class UsageError(TouchdError):
-    """The command line names an unknown command."""
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a subcommand; returns 0, 2 for the user's mistakes, 1 for ours, 130 when a signal cut it short."""
     given = sys.argv[1:] if arguments is None else arguments
@@ -63,6 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return ended
     except BrokenPipeError:
+        # Here and below, import only where needed: at the top, it would delay the daemon's start.
         from touchd.daemon.failure import discard_output
 
         discard_output()
@@ -81,23 +75,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(words: Sequence[str]) -> int:
-    if not words or words[0] in ("-h", "--help", "help"):
-        sys.stdout.write(_help())
-        return 0 if words else USERS_MISTAKE
-    name, *rest = words
-    if name in ("--version", "version"):
-        # Here and below, import only where needed: at the top, it would delay the daemon's start.
-        from importlib import metadata
-
-        sys.stdout.write(f"touchd {metadata.version('touchd')}\n")
-        return 0
     commands = {command.name: command for command in COMMANDS}
-    if name not in commands:
-        import difflib
+    if not words or words[0] not in commands:
+        from touchd.daemon.usage import answer
 
-        near = difflib.get_close_matches(name.lower(), commands, n=1)
-        advice = f"did you mean {near[0]}?" if near else f"there are {', '.join(commands)}"
-        raise UsageError(f"{name} is not a command; {advice}")
+        return answer(words, {command.name: command.help for command in COMMANDS})
+    name, *rest = words
     command = importlib.import_module(f"touchd.{commands[name].place}")
     # From here on, signals raise KeyboardInterrupt, so that commands clean up; an import could swallow it.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -116,13 +99,3 @@ def _prepare_streams() -> None:
             setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115 - stays open
         if isinstance(stream := getattr(sys, name), io.TextIOWrapper):
             stream.reconfigure(errors="replace")
-
-
-def _help() -> str:
-    from touchd.drivers.installed import program_name
-
-    width = max(len(command.name) for command in COMMANDS)
-    lines = [f"  touchd {command.name:<{width}}  {command.help}" for command in COMMANDS]
-    first = "touchd recognises social touch on a pressure pad and reports it to a Nao robot within a second."
-    last = f"{program_name()} COMMAND --help says more; --debug with any command shows the trace of an error."
-    return "\n".join([first, "", *lines, "", last, ""])

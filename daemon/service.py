@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import gc
+import logging
 import time
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
 from touchd.daemon.config import Settings
 from touchd.daemon.events import LivePrediction
-from touchd.daemon.health import Health
 from touchd.daemon.parts import PadChannel, make_parts
 from touchd.daemon.sinks import EventFanout, Sink
 from touchd.drivers.frame import Frame, SensorState
@@ -23,23 +23,31 @@ IDLE_S = 0.25
 SENSORS_STOP_S = 0.6
 DRAIN_S = 2.0
 SINKS_STOP_S = 1.2
+# How often it is logged that frames were dropped.
+DROPPED_EVERY_S = 5.0
 
 if typing.TYPE_CHECKING:
+    from touchd.daemon.systemd import Health
     from touchd.daemon.terminal.view import View
+
+log = logging.getLogger(__name__)
 
 
 class Service:
     """The daemon's loop and its parts. Raises TouchdError when the settings cannot be used.
 
-    config: the file of the settings. events: where all of them pass through.
+    config: the file of the settings. health: what is reported to systemd, if it started the daemon.
+    events: where all of them pass through.
     """
 
-    def __init__(self, settings: Settings, health: Health, config: Path | None = None) -> None:
+    def __init__(self, settings: Settings, config: Path | None = None, health: Health | None = None) -> None:
         self._settings = settings
         self._health = health
         self._more_sinks: tuple[Sink, ...] = ()
         self._view: View | None = None
         self._arrived = Signal()
+        self._frames = 0
+        self._drops = DropLog()
         self.events = EventFanout()
         self._parts = make_parts(settings, self.events.emit, self._viewers, self._arrived, config)
 
@@ -68,13 +76,16 @@ class Service:
         took = False
         try:
             while not must_stop():
-                if not took and not self._arrived.wait(IDLE_S):
+                if not took and not self._arrived.wait(IDLE_S) and self._health is not None:
                     self._health.feed()
                 # Take one item of each pad in turn: a pad that floods its queue must not hold up the others.
                 took = False
                 for pad in self._parts.pads:
                     took = self._process_next(pad) or took
-                self._health.report(self.events.touches, self._dropped())
+                dropped = {pad.name: pad.queue.dropped for pad in self._parts.pads}
+                self._drops.update(dropped)
+                if self._health is not None:
+                    self._health.report(self.events.touches, sum(dropped.values()))
         finally:
             self._end()
 
@@ -92,7 +103,8 @@ class Service:
         ]
 
     def _end(self) -> None:
-        self._health.stopping()
+        if self._health is not None:
+            self._health.stopping()
         until_s = time.monotonic() + SENSORS_STOP_S
         for pad in self._parts.pads:
             pad.sensor.stop(max(0.0, until_s - time.monotonic()))
@@ -103,11 +115,12 @@ class Service:
                 self._process_next(pad)
             pad.pipeline.flush()
         left = sum(len(pad.queue) for pad in self._parts.pads)
-        self._health.end(self.events.touches, sum(self._dropped().values()) + left)
+        totals = self._frames, self.events.touches, self._dropped() + left
+        log.info("%d frames, %d touches, %d frames dropped in all", *totals)
         self._stop_sinks()
 
-    def _dropped(self) -> dict[str, int]:
-        return {pad.name: pad.queue.dropped for pad in self._parts.pads}
+    def _dropped(self) -> int:
+        return sum(pad.queue.dropped for pad in self._parts.pads)
 
     def _process_next(self, pad: PadChannel) -> bool:
         """Process the oldest item in a pad's queue; return whether there was one."""
@@ -117,11 +130,14 @@ class Service:
             if self._parts.kept is not None:
                 self._parts.kept.put_frame(item, pad.name)
             pad.pipeline.on_frame(item)
-            self._health.frame_processed(pad.name)
+            self._frames += 1
+            if self._health is not None:
+                self._health.frame_processed(pad.name)
             self._show(pad, item)
         elif isinstance(item, SensorState):
             pad.pipeline.on_sensor_state(item)
-            self._health.pad_state(pad.name, item.state == "up")
+            if self._health is not None:
+                self._health.pad_state(pad.name, item.state == "up")
         return item is not None
 
     def _show(self, pad: PadChannel, frame: Frame) -> None:
@@ -130,7 +146,7 @@ class Service:
         if self._view is not None and pad is parts.pads[0]:
             self._view.show_frame(frame.pressure, frame.sensor_ms)
         if parts.live is not None:
-            parts.live.put_frame(frame, sum(self._dropped().values()), pad.name)
+            parts.live.put_frame(frame, self._dropped(), pad.name)
         for bridge in parts.bridges:
             bridge.put_frame(frame, pad.name)
 
@@ -144,3 +160,22 @@ class Service:
         with ThreadPoolExecutor(len(bridges) or 1) as ending:
             for bridge in bridges:
                 ending.submit(bridge.stop, max(0.0, deadline_s - time.monotonic()))
+
+
+class DropLog:
+    """Logs every DROPPED_EVERY_S how many frames the pads' full queues have dropped."""
+
+    def __init__(self) -> None:
+        self._before: Mapping[str, int] = {}
+        self._logged_s = time.monotonic()
+
+    def update(self, dropped: Mapping[str, int]) -> None:
+        """Take how many frames of each pad were dropped so far."""
+        now_s = time.monotonic()
+        if now_s - self._logged_s < DROPPED_EVERY_S:
+            return
+        for pad, count in dropped.items():
+            if (newly := count - self._before.get(pad, 0)) > 0:
+                why = "the machine is too busy, or the pad sends too many"
+                log.warning("%s: %d frames dropped: %s", pad, newly, why)
+        self._before, self._logged_s = dropped, now_s

@@ -3,7 +3,7 @@
 Every error that a user sees; the command shows its message and exits with code 2:
 
 TouchdError
-    UsageError         daemon/cli.py                the command line
+    UsageError         daemon/usage.py              the command line
     ConfigError        daemon/config.py             the configuration
     PathError          drivers/errors.py            a path's home
     SensorError        drivers/pad/why_not.py       the pad's port

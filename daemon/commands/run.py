@@ -8,17 +8,20 @@ import signal
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from typing import TYPE_CHECKING
 
 import msgspec
 
 from touchd.daemon.commands.settings import Found, add_config, find_settings, parsed
 from touchd.daemon.config import ConfigError, Settings, config_errors
 from touchd.daemon.events import Event, RobotEvent, encode
-from touchd.daemon.health import Health, Notifier
 from touchd.daemon.log import LogWriter
 from touchd.daemon.service import Service
 from touchd.daemon.sinks import LinesSink
 from touchd.daemon.tags import TagServer, changed
+
+if TYPE_CHECKING:
+    from touchd.daemon.systemd import Health
 
 # Python's thread switch interval; its default, 5 ms, is longer than an answer takes.
 SWITCH_S = 0.0005
@@ -112,9 +115,7 @@ def main(arguments: Sequence[str]) -> int:
     with ExitStack() as closing:
         signals.listen()
         closing.callback(signals.ignore)
-        notifier = Notifier(os.environ)
-        closing.callback(notifier.close)
-        service = Service(settings, Health(notifier), found.file)
+        service = Service(settings, found.file, _health(closing))
         service.events.tags = tags
         closing.enter_context(TagServer(service.events))
         favour_latency()
@@ -146,6 +147,17 @@ def main(arguments: Sequence[str]) -> int:
         log.info("%s; journal: %s", found, settings.journal.file if settings.journal else "none")
         service.run(signals.must_stop)
     return 0
+
+
+def _health(closing: ExitStack) -> "Health | None":
+    """Return what reports to systemd, if it started this process."""
+    if "NOTIFY_SOCKET" not in os.environ:
+        return None
+    from touchd.daemon.systemd import Health, Notifier
+
+    notifier = Notifier(os.environ)
+    closing.callback(notifier.close)
+    return Health(notifier)
 
 
 def _find(options: argparse.Namespace) -> Found:

@@ -16,7 +16,6 @@ from rigs.wait import WITHIN_S, wait_for
 
 from touchd.daemon.config import LiveSettings, Settings
 from touchd.daemon.events import Event, Label, encode
-from touchd.daemon.health import Health, Notifier
 from touchd.daemon.kept.touch_store import TouchStore, folder_of, kept_touches
 from touchd.daemon.kept.touches import decode
 from touchd.daemon.labels import LabelError, Labeller
@@ -63,7 +62,7 @@ def test_without_kept_frames_it_says_how_to_keep_them() -> None:
 
 def test_labels_from_the_terminal_and_the_page_are_counted_together() -> None:
     settings = Settings(live=LiveSettings(port=0, label=True), journal=None)
-    service = Service(settings, Health(Notifier({})))
+    service = Service(settings)
     view = View("", vocabulary("en", {}), (54,))
     service.show_on(view)
     page = service._parts.labeller

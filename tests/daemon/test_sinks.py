@@ -21,7 +21,6 @@ from rigs.wait import WITHIN_S, wait_for
 
 from touchd.daemon.config import JournalSettings, Settings
 from touchd.daemon.events import Event, RobotAction, SensorEvent, encode
-from touchd.daemon.health import Health, Notifier
 from touchd.daemon.journal import Journal, JournalError, JournalSink
 from touchd.daemon.kept.touches import decode, read_since
 from touchd.daemon.robot import RobotSink
@@ -153,7 +152,7 @@ def test_the_robot_stops_first_so_its_last_acts_are_told(
     settings = Settings(
         robot=RobotSettings(url="tcp://127.0.0.1:1"), journal=JournalSettings(path=str(tmp_path / "events"))
     )
-    service = Service(settings, Health(Notifier({})))
+    service = Service(settings)
     service.tell(LinesSink("stdout", 1, encode))
     service.run(lambda: True)
     assert stopped == ["robot", "journal", "stdout"]

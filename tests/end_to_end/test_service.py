@@ -21,9 +21,10 @@ from rigs.wait import AT_ONCE_S, WITHIN_S
 
 from touchd.daemon.config import JournalSettings, SensorSettings, Settings
 from touchd.daemon.events import SensorEvent, TouchEnded
-from touchd.daemon.health import Health, Notifier
 from touchd.daemon.kept.touches import decode
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
+from touchd.daemon.service import DropLog
+from touchd.daemon.systemd import Health, Notifier
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.recording import splice
@@ -92,7 +93,7 @@ def test_the_watchdog_starves_when_one_present_pad_is_silent(
     health.pad_state("away", up=False)
     manager.received()
     monkeypatch.setattr(time, "monotonic", lambda: now_s + 2000)
-    health.report(touches=0, dropped={"pad": 0})
+    health.report(touches=0, dropped=0)
     if silent == "nobody":
         health.frame_processed("pad")
     health.feed()
@@ -113,7 +114,7 @@ def test_the_status_shows_rate_touches_and_drops(
         health.frame_processed("pad")
     health.pad_state("arm", up=False)
     monkeypatch.setattr(time, "monotonic", lambda: now_s + 10)
-    health.report(touches=3, dropped={"pad": 7})
+    health.report(touches=3, dropped=7)
     status = manager.received()[-1]
     assert status.startswith("STATUS=5")
     assert status.endswith(" frames/s, arm away, 3 touches, 7 frames dropped")
@@ -124,11 +125,13 @@ def test_each_status_and_warning_counts_from_the_one_before(
 ) -> None:
     now_s = time.monotonic()
     monkeypatch.setattr(time, "monotonic", lambda: now_s)
+    drops = DropLog()
     for passed_s, frames, dropped in ((10, 540, 7), (10, 270, 9), (10, 0, 9)):
         for _ in range(frames):
             health.frame_processed("pad")
         now_s += passed_s
-        health.report(touches=0, dropped={"pad": dropped})
+        health.report(touches=0, dropped=dropped)
+        drops.update({"pad": dropped})
     rates = [line.split()[0] for line in manager.received() if line.startswith("STATUS=")]
     assert rates[1:] == ["STATUS=27.0", "STATUS=0.0"]
     warned = [record.getMessage().partition(":")[2].split(":")[0] for record in caplog.records]

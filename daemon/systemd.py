@@ -1,14 +1,11 @@
-"""Reports to systemd (sd_notify): ready once, the watchdog only after work done, and a status line."""
+"""What systemd is told if it started the daemon (sd_notify): ready, the watchdog after work, a status."""
 
-import logging
 import math
 import os
 import socket
 import time
 from collections.abc import Mapping
 from contextlib import suppress
-
-log = logging.getLogger(__name__)
 
 STATUS_EVERY_S = 5.0
 FEEDS_PER_WATCHDOG = 4
@@ -59,7 +56,6 @@ class Health:
         self._alive_until_s: dict[str, float] = {}
         self._frames = 0
         self._reported = 0
-        self._dropped: Mapping[str, int] = {}
         self._next_feed_s = 0.0 if notifier.watchdog_s else math.inf
         self._status_s = time.monotonic()
 
@@ -83,24 +79,17 @@ class Health:
             self._notifier.send(WATCHDOG=1)
             self._next_feed_s = now_s + self._notifier.watchdog_s / FEEDS_PER_WATCHDOG
 
-    def report(self, touches: int, dropped: Mapping[str, int]) -> None:
-        """Report the status every few seconds: frames a second, touches so far, each pad's dropped frames."""
+    def report(self, touches: int, dropped: int) -> None:
+        """Report the status every few seconds: frames a second, touches and dropped frames so far."""
         now_s = time.monotonic()
         passed_s = now_s - self._status_s
         if passed_s < STATUS_EVERY_S:
             return
-        for pad, count in dropped.items():
-            if (newly := count - self._dropped.get(pad, 0)) > 0:
-                why = "the machine is too busy, or the pad sends too many"
-                log.warning("%s: %d frames dropped: %s", pad, newly, why)
         rate_hz = (self._frames - self._reported) / passed_s
         away = "".join(f", {pad} away" for pad, until_s in self._alive_until_s.items() if until_s == math.inf)
-        status = f"{rate_hz:.1f} frames/s{away}, {touches} touches, {sum(dropped.values())} frames dropped"
+        status = f"{rate_hz:.1f} frames/s{away}, {touches} touches, {dropped} frames dropped"
         self._notifier.send(STATUS=status)
-        self._dropped, self._status_s, self._reported = dropped, now_s, self._frames
+        self._status_s, self._reported = now_s, self._frames
 
     def stopping(self) -> None:
         self._notifier.send(STOPPING=1)
-
-    def end(self, touches: int, dropped: int) -> None:
-        log.info("%d frames, %d touches, %d frames dropped in all", self._frames, touches, dropped)
