@@ -3,13 +3,13 @@
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from operator import lt
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.text import ended_at, lines_in, numbers_in
-from touchd.drivers.search.neighbours import Numbers, Placement
+from touchd.drivers.search.neighbours import Cells, Numbers, Placement
 
 # Fewer frames than these, a second of the slowest pad, show no movement.
 LEAST_FRAMES = 8
@@ -55,14 +55,40 @@ def printed(lines: Sequence[TextLine]) -> Iterator[Printed]:
     weight: Counter[int] = Counter()
     for line in lines:
         weight[len(line.numbers)] += len(line.numbers)
-    width, numbers = weight.most_common(1)[0] if weight else (0, 0)
-    if width == 0 or 2 * numbers < weight.total():
+    width = max(weight, key=lambda count: weight[count], default=0)
+    at = np.flatnonzero([len(line.numbers) == width for line in lines])
+    if width == 0 or len(at) < LEAST_FRAMES or 2 * weight[width] < weight.total():
         return
-    if (several := _in_several_lines(lines, width)) is not None:
-        yield several
-    frames = [[line.numbers] for line in lines if len(line.numbers) == width]
-    if len(frames) >= LEAST_FRAMES:
-        yield Printed(np.array(frames), 0, "")
+    numbers = np.array([lines[each].numbers for each in at.tolist()])
+    for skip, end, is_split in _splits(lines, numbers, at):
+        # The first and the last lines may be parts of frames.
+        begins = np.flatnonzero(is_split) + 1
+        lengths = np.diff(begins)
+        length = int(np.bincount(lengths).argmax()) if len(lengths) >= LEAST_FRAMES else 1
+        whole = begins[:-1][lengths == length]
+        if length > 1 and len(whole) * length >= MOSTLY * lengths.sum():
+            yield Printed(numbers[whole[:, None] + np.arange(length)], skip, end)
+            break
+    yield Printed(numbers[:, None], 0, "")
+
+
+def _splits(
+    lines: Sequence[TextLine], numbers: Numbers, at: Cells
+) -> Iterator[tuple[int, str, NDArray[np.bool_]]]:
+    """Yield what may separate frames: a count of leading numbers, an end, and after which rows it comes.
+
+    numbers: those of each line that may be a row. at: the places of these lines.
+    """
+    leads = np.column_stack([[lines[each].label or 0 for each in at.tolist()], numbers])
+    is_split = np.diff(at) > 1
+    for skip in range(min(MOST_BESIDE, numbers.shape[1])):
+        is_split = is_split | (np.diff(leads[:, skip]) < 0)
+        yield skip, "", is_split
+    ends = Counter(filter(None, (_after_numbers(line.text) for line in lines)))
+    for end, _ in ends.most_common(MOST_ENDS):
+        if end.isascii() and end.decode().isprintable():
+            ended = np.cumsum([0, *(line.text.rstrip().endswith(end) for line in lines)])
+            yield 0, end.decode(), np.diff(ended[at]) > 0
 
 
 def placements(lines: Sequence[TextLine], rows: int, columns: int) -> Iterator[Placement]:
@@ -81,44 +107,6 @@ def placements(lines: Sequence[TextLine], rows: int, columns: int) -> Iterator[P
             values = frames.numbers[:, :, skip : skip + across].reshape(count, -1)
             if np.isfinite(values).all():
                 yield Placement(described, values)
-
-
-def _in_several_lines(lines: Sequence[TextLine], width: int) -> Printed | None:
-    """Return the frames of lines with `width` numbers, by the first separator that fits."""
-    ends = Counter(line.text.strip() for line in lines if len(line.numbers) != width and line.text.strip())
-    suffixes = Counter(_after_numbers(line.text) for line in lines if len(line.numbers) == width)
-    marks = [text for text, _ in (ends.most_common(MOST_ENDS) + suffixes.most_common(MOST_ENDS)) if text]
-    for skip, end in [*((skip, b"") for skip in range(MOST_BESIDE)), *((0, mark) for mark in marks)]:
-        if not end.isascii() or not end.decode().isprintable():
-            continue
-        # The first and the last run may be parts of frames.
-        runs = list(filter(None, _runs(lines, width, skip, end)))[1:-1]
-        if len(runs) < LEAST_FRAMES:
-            continue
-        length, times = Counter(map(len, runs)).most_common(1)[0]
-        if length > 1 and times * length >= MOSTLY * sum(map(len, runs)):
-            frames = [[line.numbers for line in run] for run in runs if len(run) == length]
-            return Printed(np.array(frames), skip, end.decode())
-    return None
-
-
-def _runs(lines: Sequence[TextLine], width: int, skip: int, end: bytes) -> Iterator[list[TextLine]]:
-    """Yield the lines between two separators, as the parser of such a format takes them."""
-    run: list[TextLine] = []
-    leads: Sequence[float] = ()
-    for line in lines:
-        fits = len(line.numbers) == width
-        now = line.numbers[:skip] if line.label is None else [line.label, *line.numbers[:skip]]
-        if not end and (not fits or any(map(lt, now, leads))):
-            yield run
-            run = []
-        if fits:
-            run.append(line)
-            leads = now
-        if end and line.text.rstrip().endswith(end):
-            yield run
-            run = []
-    yield run
 
 
 def _after_numbers(text: bytes) -> bytes:
