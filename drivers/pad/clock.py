@@ -89,7 +89,7 @@ class FrameClock:
 
         stamp: the frame's clock as sent, None for a pad without one.
         """
-        if stamp is None or not math.isfinite(stamp):
+        if stamp is None or not math.isfinite(stamp * max(UNITS_MS)):
             return [Reading(self._arrivals.stamp_ms(host_s), host_s, pressure)]
         self._look(stamp, host_s)
         if not self._is_chosen and stamp % 1:

@@ -320,6 +320,12 @@ def test_a_clock_that_begins_again_within_each_window_loses_no_frame(period_s: f
     assert len(frames) >= 54 * 20 - 1
 
 
+def test_a_clock_damaged_to_a_huge_number_ends_nothing() -> None:
+    clock, _ = dated(lambda second: second)
+    clock._unit_ms = 1000.0
+    assert len(clock.judge(1e307, 106.0, STILL)) == 1
+
+
 @pytest.mark.parametrize("pause_s", [0.8, 5.0])
 def test_a_pause_while_the_board_starts_is_dated_as_long_as_it_was(pause_s: float) -> None:
     _, frames = dated(
