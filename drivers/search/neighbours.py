@@ -38,13 +38,6 @@ def thinned(numbers: Numbers) -> Numbers:
     return numbers[:: -(-len(numbers) // MOST_FRAMES)]
 
 
-def falls(values: Numbers) -> bool:
-    """Whether a hand makes the values fall; signed values count from rest, so they rise."""
-    off = values - np.median(values, axis=0)
-    scaled = off / max(float(np.abs(off).max(initial=0.0)), 1e-9)
-    return bool(values.min(initial=0) >= 0 and (scaled**3).sum() < 0)
-
-
 def movement(values: Numbers) -> Moved:
     """Return how each cell steps from frame to frame, among the others, as ranks; each cell has unit length.
 

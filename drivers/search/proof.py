@@ -14,7 +14,6 @@ from touchd.drivers.search.neighbours import (
     Numbers,
     Placement,
     deviations,
-    falls,
     movement,
     runs_to_and_fro,
     thinned,
@@ -33,82 +32,61 @@ PARTS, UNEVEN, LONGEST_PAUSE_S = 8, 3.0, 1.5
 # Neighbours exceed shuffled cells by this many standard deviations: 67 of 75 of the third study's touches by
 # S10, S12, S15 and S18 do, and four of 438 streams with shuffled cells.
 SURE = 2.5
-# A hand moves a cell by more noises than this: by 11 or more in nine of ten of these touches. At rest, their
-# cells move by up to 12, but by fewer counts than LEAST_PRESS.
-PRESSED_NOISES = 6.0
-# The 30th percentile of a normal distribution's absolute deviations; a pad may be pressed half the time.
-NORMAL_30 = 0.385
-# A hand moves cells one way, and the other way by less than this share: by 0.42 in 19 of 20 of these touches;
-# channels that oscillate exceed it. A hand may stay on a cell for three quarters of the time.
-BOTH_WAYS, SELDOM_AT_REST = 0.6, 0.25
-# A frame's cells differ from the next frame's by less than this share of how they move in all (squares): by
-# 0.03 in 19 of 20 of these touches. Bytes of larger numbers, signed bytes and two pads by turns exceed it.
-JUMPY = 0.6
-# Two bytes are not one number if in more than this share of steps the upper byte leaps alone: 0.01 in
-# generated frames of u16 and i16, 0.7 in those of half floats and of low and high bytes apart.
-FEW_LEAPS = 0.3
-# A byte that wraps steps by more than this. In generated frames of low bytes, 97 % of such steps wrap; in
-# those of u8 cells, 7 % look like it.
-WRAP = 192
-# Dead cells read 0 or full scale throughout; more values that never change are other numbers.
+# A pad is at rest for a quarter of the time, and 30 % of its values stay near their median: a hand moves a
+# cell by more than this times as far, by 27 times in 19 of 20 of these touches; channels that swing, 4 times.
+AT_REST, NEAR_REST, FARTHER = 0.25, 0.3, 10.0
+# A hand moves cells one way, and the other way by less than this share: by 0.26 in 19 of 20 of these touches;
+# by 0.9 on channels that oscillate.
+BOTH_WAYS = 0.4
+# A step against those before and after it is a jump. Jumps hold less than this share of the squares of all
+# steps: at most 0.15 of a generated hand's at 8 to 50 Hz, 0.4 in one of these touches; 0.6 and more where two
+# pads take turns, where a byte wraps, and in numbers that are parts of others.
+JUMPY = 0.5
+# Dead cells read 0 or full scale throughout; more values that never change are other numbers, such as those
+# of rows, or headers of packets that hold a part of a frame.
 FEW_STILL = 2
 # The largest values of usual converters; other scales end at these times a power of ten.
 FULL_SCALES, ROUND = (1023, 4095, 65535), (1, 2, 5, 10)
-# A configuration takes no larger full_scale; a parser cannot divide by a smaller one.
-SMALLEST_SCALE, LARGEST_SCALE = 1e-30, 4e9
-# A press must move a cell by this many counts of the model's scale: less is detected, but not recognised.
+# A press must move a cell by this many counts of the model's scale: less is detected, but not recognised. At
+# rest, the third study's cells move by up to 13.
 LEAST_PRESS = 16.0
 
 
 def objection(placed: Placement) -> str:
     """Say why a placement's cells are not a pressed pad; "" if they are proven to be one."""
-    values = thinned(placed.values)
-    rest = 1 - SELDOM_AT_REST if falls(values) else SELDOM_AT_REST
-    off = values - np.quantile(values, rest, axis=0)
-    noise, largest = noise_of(values), float(np.abs(off).max())
-    if largest <= PRESSED_NOISES * noise:
-        return f"nothing presses the pad (its numbers move by {largest:.4g}): press it while I listen"
-    above, below = (np.maximum(sign * off - 2 * noise, 0).sum() for sign in (1, -1))
-    if min(above, below) > BOTH_WAYS * max(above, below):
-        return "a hand moves its numbers up and down: print pressure, not how it changes"
+    values, described = thinned(placed.values), placed.described
+    off = values - np.quantile(values, 1 - AT_REST if described.invert else AT_REST, axis=0)
+    off *= -1 if described.invert else 1
+    farthest = float(off.max())
+    if farthest * MAX_COUNT < LEAST_PRESS * described.full_scale:
+        moves = f"its numbers move by {farthest:.4g} of {described.full_scale:g}"
+        return f"nothing presses the pad ({moves}): press it firmly while I listen"
+    near = float(np.quantile(np.abs(values - np.median(values, axis=0)), NEAR_REST))
+    if farthest <= FARTHER * near or np.maximum(-off, 0).sum() > BOTH_WAYS * np.maximum(off, 0).sum():
+        return (
+            "its numbers never rest, or move up and down: let go between presses; print pressure, not changes"
+        )
     moved = movement(placed.values)
     if deviations(moved, placed.cells) < SURE:
         return "neighbouring cells do not move together: press one place at a time, all over the pad"
     if runs_to_and_fro(moved, placed.cells):
         return "every other row seems to run backwards: print all rows in one direction"
-    jumps = np.square(np.diff(placed.values, axis=0)).mean()
-    if jumps > JUMPY * np.square(off).mean():
+    if _jumping(placed.values) > JUMPY:
         return "its numbers jump: are two pads on the line, or cells not u8, u16, i16 or f32?"
-    if placed.described.framing == "binary" and _is_misread(placed):
-        return "its bytes seem to be parts of other numbers: send plain u8, u16, i16 or f32 cells"
     still = values[0, np.ptp(values, axis=0) == 0]
-    if placed.described.skip + placed.described.tail and len(set(still.tolist())) > FEW_STILL:
+    if described.skip + described.tail and len(set(still.tolist())) > FEW_STILL:
         return (
             "numbers among its cells never change: press all over the pad, and print the cells in one piece"
         )
     return ""
 
 
-def _is_misread(placed: Placement) -> bool:
-    """Whether cells are parts of larger numbers, or signed bytes."""
-    values, cell = placed.values, placed.described.cell
+def _jumping(values: Numbers) -> float:
+    """Return the share that jumps, against the step before and after, have in the squares of all steps."""
     steps = np.diff(values, axis=0)
-    if cell in ("u16", "i16"):
-        # An upper byte of its own makes values leap by multiples of 256.
-        leaps = (np.abs(steps) >= 128) & (np.abs((steps + 128) % 256 - 128) <= 8)
-        return bool(leaps.sum() > FEW_LEAPS * (steps != 0).sum())
-    # A number moves against the jump before and after it wraps.
     before, jumps, after = steps[:-2], steps[1:-1], steps[2:]
-    wraps = (np.abs(jumps) > WRAP) & (before * jumps < 0) & (after * jumps < 0)
-    return cell == "u8" and bool(2 * wraps.sum() > (np.abs(jumps) > WRAP).sum() + 16)
-
-
-def noise_of(values: Numbers) -> float:
-    """Return how far (frames, cells) stray at rest, from frame to frame or slowly, in most cells that do."""
-    off, steps = np.abs(values - np.median(values, axis=0)), np.abs(np.diff(values, axis=0))
-    of_each = np.maximum(np.median(steps, axis=0), np.quantile(off, 0.3, axis=0) / NORMAL_30)
-    usual = np.median(of_each[of_each > 0]) if 4 * (of_each > 0).sum() > len(of_each) else 0.0
-    return float(max(usual, steps[steps > 0].min(initial=np.inf) if steps.any() else 1.0))
+    is_against = (before * jumps < 0) & (after * jumps < 0)
+    return float((np.square(jumps) * is_against).sum() / max(np.square(steps).sum(), 1e-9))
 
 
 def scaled(placed: Placement) -> PadFormat:
@@ -123,24 +101,8 @@ def scaled(placed: Placement) -> PadFormat:
     else:
         unit = 10.0 ** math.floor(math.log10(largest))
         scale = next(each for each in ROUND if largest <= each * unit) * unit
-    return replace(described, full_scale=scale, invert=falls(thinned(placed.values)))
-
-
-def unscaled(described: PadFormat, values: Numbers) -> str:
-    """Say why values are not pressure on the description's scale."""
-    top, rest = described.full_scale, np.median(values, axis=0)
-    if not SMALLEST_SCALE <= top <= LARGEST_SCALE:
-        return f"its numbers go up to {top:g}: print values of a usual size"
-    farthest = float(
-        (rest - values if described.invert else np.maximum(values, 0) - np.maximum(rest, 0)).max()
-    )
-    if farthest * MAX_COUNT < LEAST_PRESS * top:
-        return (
-            f"a press moves its numbers by only {farthest:.4g} of {top:g}: press firmly, or print the change"
-        )
-    if (np.median(rest[np.ptp(values, axis=0) > 0]) > top / 2) != described.invert:
-        return "its numbers rest at the end to which a hand seems to move them: let go between presses"
-    return ""
+    rest = np.median(placed.values, axis=0)[np.ptp(placed.values, axis=0) > 0]
+    return replace(described, full_scale=scale, invert=bool(rest.size and np.median(rest) > scale / 2))
 
 
 def unexplained(described: PadFormat, values: Numbers, chunks: Sequence[Chunk]) -> str:

@@ -16,7 +16,7 @@ from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.search import binary, text
 from touchd.drivers.search.listen import MOST_BYTES, Chunk
 from touchd.drivers.search.neighbours import Placement, is_turned, movement, thinned, together
-from touchd.drivers.search.proof import objection, scaled, unexplained, unscaled
+from touchd.drivers.search.proof import objection, scaled, unexplained
 from touchd.drivers.search.survey import Grid, Survey, reads, survey
 
 # How much roughness counts against moving together, as an exponent. The wrong byte order is rougher by up to
@@ -138,7 +138,7 @@ def _why_none_fits(arrived: Arrived, seen: Survey | None, grid: Grid | None) -> 
 def _proven(best: Placement, arrived: Arrived, saw: str) -> Finding:
     """Return the description of a placement, with its proof or what the proof is missing."""
     described = scaled(best)
-    if missing := objection(best) or unscaled(described, best.values):
+    if missing := objection(replace(best, described=described)):
         return Finding(None, missing, saw, described, may_come=True)
     if arrived.lines is None:
         described = binary.with_clock(described, arrived.data, arrived.seconds)

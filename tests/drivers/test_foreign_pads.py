@@ -132,12 +132,11 @@ REFUSED: dict[str, tuple[Printed, str]] = {
     "changes": (lambda v, n: line(np.rint(90 * np.sin(n / 3) * v / 1023).astype(np.int_)), ""),
     "u12": (lambda v, n: b"\xaa\x55" + bytes(120), ""),
     "u32": (lambda v, n: b"\xaa\x55" + sent(v, "<u4"), ""),
-    "half floats": (lambda v, n: b"\xaa\x55" + sent(v, "<f2"), ""),
     "low bytes, then high ones": (
         lambda v, n: b"\xf0\xaa\x55" + sent(v & 255, "u1") + sent(v >> 8, "u1"),
         "",
     ),
-    "low bytes": (lambda v, n: b"\xf0\xaa\x55" + sent(v & 255, "u1"), "parts of other numbers"),
+    "low bytes": (lambda v, n: b"\xf0\xaa\x55" + sent(v & 255, "u1"), "jump"),
     "a packet a row": (
         lambda v, n: b"".join(b"\xaa" + bytes([i]) + sent(r // 5, "u1") for i, r in enumerate(v)),
         "",
