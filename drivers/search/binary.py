@@ -41,28 +41,10 @@ TINY_FLOAT, HUGE_FLOAT = 1e-9, 1e9
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """Frames of one length in some data, (frames, twice a frame's bytes), from an arbitrary byte of it on."""
+    """Frames of one length: (frames, bytes), each from the header on, which occurs once a frame."""
 
-    length: int
-    twice: NDArray[np.uint8]
-    data: bytes
-
-    def headers(self) -> dict[int, bytes]:
-        """Return the bytes that occur once a frame, by where they begin.
-
-        Zeros, and bytes before one that only rises, may be upper bytes of a counter, and change later.
-        """
-        usual = np.median(self.twice, axis=0).astype(np.uint8)
-        steady = (self.twice == usual).mean(axis=0) >= STEADY_SHARE
-        steps = np.diff(self.twice.astype(np.int16), axis=0)
-        rises = np.logical_and((steps >= 0).all(axis=0), (steps > 0).any(axis=0))
-        found: dict[int, bytes] = {}
-        for run in re.finditer(rb"[^\0]+", np.where(steady, usual, 0).astype(np.uint8).tobytes()):
-            is_counter = rises[run.end() : run.end() + 1].any()
-            header = run[0][: SHORT_HEADER if is_counter else LONGEST_HEADER]
-            if self.data.count(header) <= _most(len(self.twice), self.length, len(header)):
-                found[run.start()] = header
-        return found
+    header: bytes
+    frames: NDArray[np.uint8]
 
 
 def counting(numbers: Numbers) -> NDArray[np.bool_]:
@@ -84,7 +66,26 @@ def tables(data: bytes) -> Iterator[Table]:
     for length, begins in sorted(found.items(), key=lambda each: -each[0] * len(each[1])):
         begins = begins[begins + 2 * length <= len(part)]
         if len(begins) >= LEAST_FRAMES:
-            yield Table(length, part[begins[:, None] + np.arange(2 * length)], data)
+            yield from _framed(part[begins[:, None] + np.arange(2 * length)], length, data)
+
+
+def _framed(twice: NDArray[np.uint8], length: int, data: bytes) -> Iterator[Table]:
+    """Yield frames from each header on, the longest first. twice: each frame and the next, from anywhere on.
+
+    Zeros, and bytes before one that only rises, may be upper bytes of a counter, and change later.
+    """
+    usual = np.median(twice, axis=0).astype(np.uint8)
+    steady = (twice == usual).mean(axis=0) >= STEADY_SHARE
+    steps = np.diff(twice.astype(np.int16), axis=0)
+    rises = np.logical_and((steps >= 0).all(axis=0), (steps > 0).any(axis=0))
+    found: list[Table] = []
+    for run in re.finditer(rb"[^\0]+", np.where(steady, usual, 0).astype(np.uint8).tobytes()):
+        is_counter = rises[run.end() : run.end() + 1].any()
+        header = run[0][: SHORT_HEADER if is_counter else LONGEST_HEADER]
+        is_rare = data.count(header) <= _most(len(twice), length, len(header))
+        if is_rare and run.start() < length:
+            found.append(Table(header, twice[:, run.start() : run.start() + length]))
+    yield from sorted(found, key=lambda table: -len(table.header))
 
 
 def _recurring(part: NDArray[np.uint8], size: int) -> Iterator[tuple[int, NDArray[np.int_]]]:
@@ -114,35 +115,28 @@ def _most(frames: int, length: int, size: int) -> int:
 
 
 def placements(data: bytes, rows: int, columns: int) -> Iterator[Placement]:
-    """Yield the placements of a grid's cells in the frames of the lengths that fit."""
+    """Yield the placements of a grid's cells after the headers of the frames whose length fits."""
     for table in tables(data):
-        headers = table.headers()
         for (kind, order), sent in PLAIN_CELLS.items():
-            around = table.length - rows * columns * CELL_BITS[kind] // 8
-            if not 0 < around <= MOST_AROUND or (kind, order) == ("u8", "big"):
+            size = rows * columns * CELL_BITS[kind] // 8
+            beside = table.frames.shape[1] - len(table.header) - size
+            if not 0 <= beside < MOST_AROUND or (kind, order) == ("u8", "big"):
                 continue
-            grid = convert({"cell": kind, "order": order, "header": "00", "full_scale": 1}, PadFormat)
-            grid = replace(grid, rows=rows, columns=columns)
-            for start in range(around, around + table.length):
-                # The longest header beside the cells, else the first: upper bytes of a counter may follow it.
-                beside = [(len(headers[at]), -at) for at in headers if start - around <= at < start]
-                size, at = max((each for each in beside if each[0] - each[1] <= start), default=(0, 0))
-                values = _decoded(table.twice[:, start : start + table.length - around], sent)
-                if size and values is not None:
-                    skip, tail = start - size + at, around - start - at
-                    yield Placement(replace(grid, header=headers[-at].hex(), skip=skip, tail=tail), values)
+            fields = {"header": table.header.hex(), "cell": kind, "order": order, "full_scale": 1}
+            described = replace(convert(fields, PadFormat), rows=rows, columns=columns)
+            for skip in range(beside, -1, -1):
+                begin = len(table.header) + skip
+                values = _decoded(table.frames[:, begin : begin + size], sent)
+                if values is not None:
+                    yield Placement(replace(described, skip=skip, tail=beside - skip), values)
 
 
 def _decoded(cells: NDArray[np.uint8], kind: str) -> Numbers | None:
     """Return (frames, cells) as sent; None for floats of which few have a usual size."""
-    sent = np.ascontiguousarray(cells).view(kind)
-    if sent.dtype.kind == "f":
-        with np.errstate(invalid="ignore"):
-            size = np.abs(sent)
-        if ((size < HUGE_FLOAT) & ((size == 0) | (size > TINY_FLOAT))).mean() < STEADY_SHARE:
-            return None
-        sent = np.where(size < HUGE_FLOAT, sent, 0)
-    return sent.astype(np.float64)
+    with np.errstate(invalid="ignore"):
+        sent = np.ascontiguousarray(cells).view(kind).astype(np.float64)
+        is_usual = (sent == 0) | ((np.abs(sent) > TINY_FLOAT) & (np.abs(sent) < HUGE_FLOAT))
+    return np.where(is_usual, sent, 0) if is_usual.mean() >= STEADY_SHARE else None
 
 
 def with_clock(described: PadFormat, data: bytes, seconds: float) -> PadFormat:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from touchd.drivers.frame import MIN_RATE_HZ
-from touchd.drivers.pad.binary import frame_bytes
 from touchd.drivers.pad.format import LONGEST_SIDE, PRESETS, SHORTEST_SIDE, PadFormat
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.search import binary, text
@@ -37,15 +36,17 @@ def survey(data: bytes, lines: Sequence[text.TextLine] | None, seconds: float) -
         table = next(binary.tables(data), None)
         if table is None:
             return None
-        left = range(table.length - 1, max(table.length - binary.MOST_AROUND, 0), -1)
+        count, length = table.frames.shape
+        left = range(length - len(table.header), max(length - binary.MOST_AROUND, 0), -1)
         sizes = [size // cell for size in left for cell in (1, 2, 4)]
-        return _shown(f"{table.length} bytes a frame", len(table.twice) / seconds, data, sizes)
-    found = list(text.printed(lines))
+        return _shown(f"{length} bytes a frame", count / seconds, data, sizes)
     # Log lines among frames of one line look like separators.
-    fast = [each for each in found if len(each.numbers) >= MIN_RATE_HZ * seconds]
-    if not found:
+    usual = max(
+        text.printed(lines), key=lambda each: len(each.numbers) >= MIN_RATE_HZ * seconds, default=None
+    )
+    if usual is None:
         return None
-    numbers = (fast or found)[0].numbers
+    numbers = usual.numbers
     count, height, width = numbers.shape
     frame = f"{height * width} numbers a frame"
     if height == 1:
@@ -79,9 +80,7 @@ def reads(preset: PadFormat, data: bytes) -> bool:
     parser.feed(data, 0.0)
     counts = parser.counts
     frames = counts.frames + counts.duplicates + counts.bad_time
-    if preset.framing == "binary":
-        return frames * frame_bytes(preset) > FITS * len(data)
-    return frames >= text.LEAST_FRAMES and frames > FITS * (frames + counts.bad_framing)
+    return frames >= text.LEAST_FRAMES and frames > FITS * (frames + counts.bad - counts.bad_time)
 
 
 def _grids(cells: int) -> Iterator[Grid]:
