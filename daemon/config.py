@@ -2,7 +2,6 @@
 
 import errno
 import os
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -24,7 +23,6 @@ from touchd.drivers.robot.session import RobotSettings
 MAX_BYTES = 64 * 1024
 DEFAULT_PORT = "/dev/touchd-pad"
 
-MAX_PADS = 16
 FABRIC = "fabric-grid"
 # On a pad of a kind that the network never met, 51 % of the final answers to touches are right. 44 % have
 # this confidence, and of these 70 % are right (fabric.onnx on the third study's windows).
@@ -182,25 +180,11 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     def __post_init__(self) -> None:
         if self.sensors and self.sensor != SensorSettings():
             raise ValueError("sensor and sensors are both set; keep one")
-        if len(self.sensors) > MAX_PADS:
-            raise ValueError(f"sensors: {len(self.sensors)} pads, {MAX_PADS} at most; run another touchd")
-        for name in self.sensors:
-            if not re.fullmatch(r"[A-Za-z]\w{0,31}", name):
-                raise ValueError(f"sensors: invalid pad name {name!r}; use one word such as left_arm")
-            if not name.isascii() and (self.ros2 or self.rosbridge or (self.mqtt and self.mqtt.discovery)):
-                raise ValueError(f"sensors: {name}: ROS and Home Assistant take only a to z, 0 to 9 and _")
-        named: dict[str, str] = {}
-        for pad in self.sensors.values():
-            # A port of UDP is one, at whichever of this computer's addresses.
-            address = re.sub(r"^udp://.*:", "udp://:", pad.port.lower())
-            device = address if "://" in address else os.path.realpath(pad.port)
-            other = named.get(device)
-            if other is not None:
-                same = f", the same device as {other}," if other != pad.port else ""
-                raise ValueError(
-                    f"sensors: {pad.port}{same} is the port of more than one pad; give each its own"
-                )
-            named[device] = pad.port
+        if self.sensors:
+            from touchd.daemon.several_pads import check
+
+            needs_ascii = self.ros2 or self.rosbridge or (self.mqtt and self.mqtt.discovery)
+            check({name: pad.port for name, pad in self.sensors.items()}, needs_ascii=bool(needs_ascii))
 
     @property
     def pads(self) -> dict[str, "Settings"]:

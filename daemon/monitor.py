@@ -221,12 +221,8 @@ class _LineFaults:
 
     def update(self, now_s: float) -> None:
         """Compare the counts every COMPARE_S of arrival; look at the clock and for restarts each time."""
+        self._note("clock", self._parser.clock.note)
         self._count_restarts(now_s)
-        note = self._parser.clock.note
-        if note and "clock" not in self.faults:
-            self.faults["clock"] = f"{self._where}: {note}"
-        elif not note and "clock" in self.faults:
-            del self.faults["clock"]
         passed_s = now_s - self._compared_s
         if passed_s < COMPARE_S:
             return
@@ -235,27 +231,18 @@ class _LineFaults:
         if passed_s > 2 * COMPARE_S:
             # The first frames, or those after a pause, which is reported elsewhere.
             return
-        for kind in ("line", "full scale"):
-            self.faults.pop(kind, None)
         intact, refused = counts.frames - before.frames, counts.bad - before.bad
-        if counts.restarts > before.restarts:
-            # What the board prints when it crashes and starts is not damage.
-            refused = 0
-        if intact and refused > MANY_SHARE * (intact + refused):
-            advice = (
-                "try a shorter cable and another USB port, no hub; does another program read it too (fuser)?"
-            )
-            if "://" in self._where:
-                advice = "does another board send there too?"
-            share = refused / (intact + refused)
-            self.faults["line"] = (
-                f"{self._where}: {share:.0%} of the last frames were damaged on the way; {advice}"
-            )
-        if counts.clipped - before.clipped > MANY_SHARE * intact:
-            above = f"values above full_scale {self._parser.format.full_scale} are cut to it"
-            self.faults["full scale"] = (
-                f"{self._where}: {above}; if firm presses do that, set a larger one in sensor.format"
-            )
+        share = refused / max(intact + refused, 1)
+        # What the board prints when it crashes and starts is not damage.
+        is_damaged = intact and share > MANY_SHARE and counts.restarts == before.restarts
+        advice = "try a shorter cable and another USB port, no hub; does another program read it too (fuser)?"
+        if "://" in self._where:
+            advice = "does another board send there too?"
+        damaged = f"{share:.0%} of the last frames were damaged on the way; {advice}"
+        self._note("line", damaged if is_damaged else "")
+        above = f"values above full_scale {self._parser.format.full_scale} are cut to it"
+        clipped = f"{above}; if firm presses do that, set a larger one in sensor.format"
+        self._note("full scale", clipped if counts.clipped - before.clipped > MANY_SHARE * intact else "")
 
     def _count_restarts(self, now_s: float) -> None:
         if self._parser.counts.restarts != self._restarts:
@@ -263,13 +250,18 @@ class _LineFaults:
             self._restarts_s.append(now_s)
             log.debug("%s: the pad restarted", self._where)
         is_often = len(self._restarts_s) == OFTEN_RESTARTS and now_s - self._restarts_s[0] <= OFTEN_S
-        if is_often and "restarts" not in self.faults:
-            self.faults["restarts"] = (
-                f"{self._where}: the pad restarted {OFTEN_RESTARTS} times in a minute, which may cut "
-                "touches; is its supply too weak, or does its firmware crash?"
-            )
-        elif not is_often:
-            self.faults.pop("restarts", None)
+        often = (
+            f"the pad restarted {OFTEN_RESTARTS} times in a minute, which may cut touches; is its supply too "
+            "weak, or does its firmware crash?"
+        )
+        self._note("restarts", often if is_often else "")
+
+    def _note(self, kind: str, what: str) -> None:
+        """Note a fault, or that there is none of this kind."""
+        if what:
+            self.faults[kind] = f"{self._where}: {what}"
+        else:
+            self.faults.pop(kind, None)
 
 
 class _Rest:

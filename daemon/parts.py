@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from touchd.daemon.bridges.settings import MEMORY_FILES
-from touchd.daemon.config import ConfigError, JournalSettings, SceneSettings, Settings, config_errors
-from touchd.daemon.events import UNCERTAIN, Event
+from touchd.daemon.config import JournalSettings, SceneSettings, Settings, config_errors
+from touchd.daemon.events import Event
 from touchd.daemon.monitor import PadMonitor
 from touchd.daemon.pipeline import Pipeline, Viewers
 from touchd.daemon.sinks import Sink
@@ -135,58 +135,40 @@ def bridges_to_others(
 
 def load_model(settings: Settings) -> Classifier:
     """Load the configured model; raises ModelError, or ConfigError when it does not fit the scene."""
-    if settings.model_path is None:
-        classifier = Classifier.load()
-    else:
-        from touchd.model.own_file import load_own
+    return _fitting(settings, _load(settings.model_path))
 
-        classifier = load_own(settings.model_path)
-    check_fit(settings.scene, classifier)
-    # Warm up: the first answer of each length takes several times longer than those after it.
+
+def load_models(settings: Settings) -> dict[str, Classifier]:
+    """Load each pad's model, shared by pads with the same file; see `load_model`."""
+    by_path = {path: _load(path) for path in {pad.model_path for pad in settings.pads.values()}}
+    models = {name: _fitting(pad, by_path[pad.model_path]) for name, pad in settings.pads.items()}
+    if settings.words:
+        from touchd.daemon.fit import check_words
+
+        check_words(settings.words, models.values())
+    return models
+
+
+def _fitting(settings: Settings, classifier: Classifier) -> Classifier:
+    """Return a pad's model, warmed up; raises ConfigError when it does not fit the scene."""
+    # The shipped model fits the scene by default.
+    if settings.model_path is not None or settings.scene != SceneSettings():
+        from touchd.daemon.fit import check_scene
+
+        check_scene(settings.scene, classifier)
+    # The first answer of each length takes several times longer than those after it.
     for frames in settings.scene.answer_at_frames:
         classifier.probabilities(np.zeros((frames, ROWS, COLUMNS), np.float32))
         classifier.step(np.zeros((frames, ROWS, COLUMNS), np.float32))
     return classifier
 
 
-def load_models(settings: Settings) -> dict[str, Classifier]:
-    """Load each pad's model, shared by pads with the same file; see `load_model`."""
-    by_path: dict[object, Classifier] = {}
-    models: dict[str, Classifier] = {}
-    for name, pad in settings.pads.items():
-        path = pad.model_path
-        if path in by_path:
-            check_fit(pad.scene, by_path[path])
-        else:
-            by_path[path] = load_model(pad)
-        models[name] = by_path[path]
-    known = {UNCERTAIN}.union(*(model.labels for model in models.values()))
-    if unknown := sorted(set(settings.words) - known):
-        raise ConfigError(f"words.{unknown[0]}: unknown gesture; known: {', '.join(sorted(known))}")
-    return models
+def _load(path: Path | None) -> Classifier:
+    if path is None:
+        return Classifier.load()
+    from touchd.model.own_file import load_own
 
-
-def check_fit(scene: SceneSettings, classifier: Classifier) -> None:
-    """Raise ConfigError when a scene asks for gestures or lengths that the model or the scene rules out."""
-    known = set(classifier.labels) - {NO_TOUCH}
-    acted_on = {gesture for rule in scene.actions for gesture in rule.gestures} - {UNCERTAIN}
-    for name, gestures in (("scene.gestures", set(scene.gestures)), ("scene.actions", acted_on)):
-        if unknown := sorted(gestures - known):
-            raise ConfigError(
-                f"{name}: {unknown[0]} is not a gesture of the model {classifier.name}; "
-                f"it knows {', '.join(sorted(known))}: name those, or leave {name} out"
-            )
-    if scene.gestures and (never := sorted(acted_on - set(scene.gestures))):
-        raise ConfigError(
-            f"scene.actions: {never[0]} is never told, as scene.gestures leaves it out; add it there, or "
-            "remove it here"
-        )
-    longest = classifier.metadata.max_length
-    if scene.answer_at_frames[-1] > longest:
-        raise ConfigError(
-            f"scene.answer_at_frames: {scene.answer_at_frames[-1]} is more than "
-            f"the {longest} frames that the model {classifier.name} takes"
-        )
+    return load_own(path)
 
 
 def check_pad(settings: Settings) -> None:

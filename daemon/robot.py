@@ -17,7 +17,7 @@ from touchd.daemon.events import (
     timestamp,
 )
 from touchd.drivers.errors import one_line
-from touchd.drivers.robot.link import RobotLink, RobotMessage
+from touchd.drivers.robot.link import RobotLink, Told
 from touchd.drivers.robot.session import OpenSession
 from touchd.drivers.robot.worker import LinkState
 
@@ -42,7 +42,7 @@ class RobotSink:
         """Send a told prediction to the robot, react to any; returns at once. Call it from one thread."""
         if isinstance(event, Prediction):
             if event.told:
-                self._link.publish(self._message(event))
+                self._link.publish(told_of(event, next(self._numbers)))
             self._react(event)
         elif isinstance(event, SensorEvent):
             self._link.set_status(event.state, event.pad)
@@ -50,16 +50,22 @@ class RobotSink:
     def stop(self, timeout_s: float) -> None:
         self._link.stop(timeout_s)
 
-    def _message(self, told: Prediction) -> RobotMessage:
-        return RobotMessage(
-            gesture=told.gesture,
-            confidence=told.confidence,
-            time_s=epoch_s(told.time),
-            stage=told.stage,
-            touch=told.touch,
-            sequence=next(self._numbers),
-            pad=told.pad,
-        )
+
+def told_of(answer: Prediction, number: int) -> Told:
+    """Return an answer with [gesture, confidence, [seconds, microseconds], stage, touch, number].
+
+    ALMemory holds 4-byte integers and floats. As a float an epoch time would have a resolution of 128 s, so
+    it is sent as two integers. Integers wrap at 2**31.
+    """
+    seconds, microseconds = divmod(round(1_000_000 * epoch_s(answer.time)), 1_000_000)
+    sent = [_int32(seconds), microseconds]
+    numbers = [_int32(answer.touch), _int32(number)]
+    detail = [answer.gesture, answer.confidence, sent, answer.stage, *numbers]
+    return Told(answer.pad, answer.gesture, detail)
+
+
+def _int32(number: int) -> int:
+    return number & 0x7FFF_FFFF
 
 
 def link_to_robot(

@@ -43,7 +43,6 @@ class Service:
     def __init__(self, settings: Settings, config: Path | None = None, health: Health | None = None) -> None:
         self._settings = settings
         self._health = health
-        self._more_sinks: tuple[Sink, ...] = ()
         self._view: View | None = None
         self._arrived = Signal()
         self._frames = 0
@@ -53,7 +52,7 @@ class Service:
 
     def tell(self, sink: Sink) -> None:
         """Send every event to this sink too, whatever the configuration. Call it before `run`."""
-        self._more_sinks = (*self._more_sinks, sink)
+        self.events.sinks += (sink,)
 
     def show_on(self, view: View) -> None:
         """Show everything on a view, with the frames of the first pad. Call it before `run`."""
@@ -68,7 +67,7 @@ class Service:
         """Run until `must_stop` returns True; then end current touches and stop every sink."""
         # Exempt loaded objects from garbage collection: a full pass takes as long as an answer may.
         gc.freeze()
-        self.events.sinks = (*self._more_sinks, *self._parts.sinks)
+        self.events.sinks += self._parts.sinks
         for sink in self.events.sinks:
             sink.start()
         for pad in self._parts.pads:

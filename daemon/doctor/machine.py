@@ -19,6 +19,7 @@ from touchd.drivers.errors import PathError
 from touchd.drivers.frame import COLUMNS, ROWS
 from touchd.drivers.installed import program_name
 from touchd.drivers.robot.link import read_login
+from touchd.drivers.robot.login import PORTS as ROBOT_PORTS
 from touchd.drivers.robot.session import (
     QiSession,
     RobotError,
@@ -37,8 +38,6 @@ PROPERTIES = ("LoadState", "ActiveState", "SubState", "UnitFileState", "Result",
 # An answer must not take longer than a frame.
 SLOW_ANSWER_MS = 18.5
 TIMED_ANSWERS = 5
-# NAOqi up to 2.8, and NAOqi 2.9.
-ROBOT_PORTS = {"tcp": 9559, "tcps": 9503}
 REACH_S = 2.0
 
 

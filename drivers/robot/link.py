@@ -12,7 +12,7 @@ import typing
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from touchd.drivers.faults import FaultLog
 from touchd.drivers.frame import DEFAULT_PAD
@@ -26,7 +26,6 @@ from touchd.drivers.robot.session import (
     RobotSession,
     RobotSettings,
     load_qi,
-    without_password,
 )
 from touchd.drivers.robot.worker import LinkState, Worker
 
@@ -37,26 +36,14 @@ log = logging.getLogger(__name__)
 
 # How long PREFIX/Gesture stays in the robot's memory, as its own ALTactileGesture does.
 SHOWN_S = 1.0
-# On which robots listen, by protocol.
-PORTS = {"tcp": 9559, "tcps": 9503}
 
 
-@dataclass(frozen=True, slots=True)
-class RobotMessage:
-    """One answer about a touch.
+class Told(NamedTuple):
+    """An answer to raise. detail: builtin types, integers of four bytes at most."""
 
-    gesture: a label of the model, or "uncertain". confidence: 0 to 1. time_s: seconds since 1970.
-    stage: early, revised, final, released, ongoing or uncertain.
-    touch: number of the touch on its pad since the daemon started. sequence: number of the message.
-    """
-
+    pad: str
     gesture: str
-    confidence: float
-    time_s: float
-    stage: str
-    touch: int
-    sequence: int
-    pad: str = DEFAULT_PAD
+    detail: list[object]
 
 
 class RobotLink:
@@ -109,9 +96,9 @@ class RobotLink:
         for worker in self._workers:
             worker.start()
 
-    def publish(self, message: RobotMessage) -> None:
+    def publish(self, told: Told) -> None:
         """Raise the events of an answer. Never waits; call it from one thread."""
-        self._events.put(message)
+        self._events.put(told)
 
     def act(self, acts: Sequence["Act"]) -> None:
         """Have the robot carry acts out in order. Never waits; call it from one thread."""
@@ -162,13 +149,9 @@ def read_login(settings: RobotSettings) -> Login | None:
     """
     address = re.fullmatch(r"tcps?://([^\s/@:]+):(\d{1,5})", settings.url)
     if address is None or int(address[2]) > 65535:
-        shown = without_password(settings.url)
-        if host := re.fullmatch(r"(tcps?)://([^\s/@:]+):?", settings.url):
-            port = PORTS[host[1]]
-            raise RobotError(
-                f"robot url {shown!r} lacks its port, usually {port}: {host[1]}://{host[2]}:{port}"
-            )
-        raise RobotError(f"robot url {shown!r} is not an address such as tcp://nao.local:9559")
+        from touchd.drivers.robot.login import wrong_address
+
+        raise wrong_address(settings.url)
     if settings.user is None:
         if settings.token_file:
             raise RobotError("robot has a token but no user; set user (nao on most robots)")
@@ -178,7 +161,7 @@ def read_login(settings: RobotSettings) -> Login | None:
     return login_of(settings, settings.user, address[1])
 
 
-class _EventWorker(Worker[RobotMessage]):
+class _EventWorker(Worker[Told]):
     """Raises PREFIX/Detail and PREFIX/Gesture for each answer, and PREFIX/Status when it changes.
 
     A pad with a name has its own, PREFIX/NAME/Gesture and so on. The Gesture is a plain string that is
@@ -210,9 +193,9 @@ class _EventWorker(Worker[RobotMessage]):
         for pad, status in self._status.items():
             self._send_status(session, pad, status)
 
-    def handle(self, session: RobotSession, item: RobotMessage) -> None:
-        self._raise_event(session, self._name(item.pad, "Detail"), _detail(item))
-        self._raise_event(session, self._name(item.pad, "Gesture"), str(item.gesture))
+    def handle(self, session: RobotSession, item: Told) -> None:
+        self._raise_event(session, self._name(item.pad, "Detail"), item.detail)
+        self._raise_event(session, self._name(item.pad, "Gesture"), item.gesture)
         self._remove_at_s[item.pad] = time.monotonic() + SHOWN_S
 
     def tend(self, session: RobotSession) -> bool:
@@ -250,24 +233,3 @@ class _EventWorker(Worker[RobotMessage]):
 
     def _raise_event(self, session: RobotSession, event: str, value: object) -> None:
         session.call("ALMemory", "raiseEvent", event, value, limit_s=self._limits.call_s)
-
-
-def _detail(message: RobotMessage) -> list[object]:
-    """Return [gesture, confidence, [seconds, microseconds], stage, touch, sequence] in builtin types.
-
-    ALMemory holds 4-byte integers and floats. As a float an epoch time would have a resolution of 128 s, so
-    it is sent as two integers. Integers wrap at 2**31.
-    """
-    seconds, microseconds = divmod(round(float(message.time_s) * 1_000_000), 1_000_000)
-    return [
-        str(message.gesture),
-        float(message.confidence),
-        [_int32(seconds), microseconds],
-        str(message.stage),
-        _int32(message.touch),
-        _int32(message.sequence),
-    ]
-
-
-def _int32(number: int) -> int:
-    return int(number) & 0x7FFF_FFFF

@@ -1,17 +1,32 @@
-"""The login for a robot that asks for one (NAOqi 2.9): reads the token, and checks who else could get it."""
+"""The login for a robot that asks for one (NAOqi 2.9), and what is wrong with an address.
+
+Reads the token, and checks who else could get it.
+"""
 
 import ipaddress
 import logging
 import os
+import re
 import stat
 from contextlib import suppress
 
 from touchd.drivers.errors import written_out
-from touchd.drivers.robot.session import Login, RobotError, RobotSettings
+from touchd.drivers.robot.session import Login, RobotError, RobotSettings, without_password
 
 log = logging.getLogger(__name__)
 
 MAX_TOKEN_BYTES = 4096
+# On which NAOqi listens: up to 2.8, and 2.9.
+PORTS = {"tcp": 9559, "tcps": 9503}
+
+
+def wrong_address(url: str) -> RobotError:
+    """Return an error that says what is wrong with a robot's address."""
+    shown = without_password(url)
+    if host := re.fullmatch(r"(tcps?)://([^\s/@:]+):?", url):
+        port = PORTS[host[1]]
+        return RobotError(f"robot url {shown!r} lacks its port, usually {port}: {host[1]}://{host[2]}:{port}")
+    return RobotError(f"robot url {shown!r} is not an address such as tcp://nao.local:9559")
 
 
 def login_of(settings: RobotSettings, user: str, host: str) -> Login:

@@ -24,8 +24,8 @@ from touchd.daemon import cli
 from touchd.daemon.commands import demo
 from touchd.daemon.config import ConfigError, SceneSettings
 from touchd.daemon.events import RobotAction, TouchBegan, TouchEnded
+from touchd.daemon.fit import check_scene
 from touchd.daemon.kept.touches import decode
-from touchd.daemon.parts import check_fit
 from touchd.daemon.playback.stream import with_quiet
 from touchd.daemon.terminal.describe import describe
 from touchd.daemon.words import vocabulary
@@ -251,11 +251,15 @@ def test_an_unusable_setting_is_refused_in_one_line(
     assert set(threading.enumerate()) == threads
 
 
+def test_the_default_scene_fits_the_shipped_model() -> None:
+    check_scene(SceneSettings(), Classifier.load())
+
+
 def test_marks_beyond_the_models_longest_window_are_refused() -> None:
     classifier = Classifier.load()
     short = replace(classifier, metadata=msgspec.structs.replace(classifier.metadata, max_length=100))
     with pytest.raises(ConfigError, match="144 is more than the 100 frames that the model"):
-        check_fit(SceneSettings(), short)
+        check_scene(SceneSettings(), short)
 
 
 def test_half_a_day_of_recordings_is_refused(tmp_path: Path, refusal: Refusal) -> None:

@@ -23,7 +23,6 @@ from touchd.daemon.actions import Action, ActionRule
 from touchd.daemon.bridges.settings import MqttSettings
 from touchd.daemon.commands.one_pad import only_pad
 from touchd.daemon.config import (
-    MAX_PADS,
     ConfigError,
     JournalSettings,
     PadSettings,
@@ -38,6 +37,7 @@ from touchd.daemon.kept.touches import decode, read_journal
 from touchd.daemon.parts import make_parts
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
 from touchd.daemon.robot import link_to_robot
+from touchd.daemon.several_pads import MAX_PADS
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.pad.format import PRESETS

@@ -1,5 +1,7 @@
 """Which answers trigger which actions, and how they are configured."""
 
+import re
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -29,10 +31,12 @@ def done(chosen: Choice, gesture: str, touch: int = 1, now_s: float = 0.0, **oth
     return [str(action.say) for action in chosen.actions(answer, now_s)]
 
 
-def test_the_example_in_the_documentation_is_valid() -> None:
-    example = actions.__doc__
-    assert example is not None
-    first, second = msgspec.convert(yaml.safe_load(example.partition("\n\n")[2])["actions"], Rules)
+def test_the_rules_in_the_example_are_valid() -> None:
+    example = (Path(actions.__file__).parent / "touchd.example.yaml").read_text()
+    rules = re.sub(
+        r"^( *)#(?! )", r"\1", example[example.index("  #actions:") :].partition("\n\n")[0], flags=re.M
+    )
+    first, second = msgspec.convert(yaml.safe_load(rules)["actions"], Rules)
     assert first.do[0].leds is not None
     assert first.do[0].leds.rgb == 0x00FF00
     assert first.refractory_s == 5

@@ -26,7 +26,7 @@ from touchd.daemon.kept.touches import decode, read_since
 from touchd.daemon.robot import RobotSink
 from touchd.daemon.service import Service
 from touchd.daemon.sinks import EventFanout, LinesSink, QueuedSink
-from touchd.drivers.robot.link import RobotLink, RobotMessage
+from touchd.drivers.robot.link import RobotLink, Told
 from touchd.drivers.robot.session import RobotSettings
 
 
@@ -126,7 +126,7 @@ def test_what_a_robot_does_comes_after_its_cause(pipe: tuple[int, int]) -> None:
         def __init__(self) -> None:
             pass
 
-        def publish(self, message: RobotMessage) -> None:
+        def publish(self, told: Told) -> None:
             fanout.emit(done)
 
     lines = LinesSink("stdout", writer, encode)

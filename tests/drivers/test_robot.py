@@ -94,16 +94,8 @@ def test_stopping_removes_the_gesture_from_memory(robot: Robot) -> None:
 
 def test_every_value_sent_fits_the_robots_four_bytes(robot: Robot) -> None:
     with linked(robot) as (link, _):
-        # Beyond 2038, after more touches than there will be, and from numpy, whose scalars qi cannot send.
-        link.publish(
-            message(
-                np.str_("pat"),
-                confidence=np.float32(0.5),
-                time_s=2.0**33,
-                touch=np.int64(2**40),
-                sequence=2**31,
-            )
-        )
+        # Beyond 2038, and after more touches than there will be.
+        link.publish(message("pat", confidence=0.5, time_s=2.0**33, touch=2**40, sequence=2**31))
         robot.calls.wait_for_raise(GESTURE, "pat")
         assert robot.calls.raised(DETAIL) == [["pat", 0.5, [0, 0], "early", 0, 0]]
 

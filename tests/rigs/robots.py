@@ -8,16 +8,20 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from rigs.call_log import CallLog
 from rigs.login_gate import Gate
+from rigs.made_events import PREDICTION
 from rigs.sockets import free_port
 from rigs.wait import SOON_S
 
+from touchd.daemon.events import timestamp
+from touchd.daemon.robot import told_of
 from touchd.drivers.fakes.loopback_robot import LoopbackRobot
 from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.robot.acting import say
-from touchd.drivers.robot.link import RobotLink, RobotMessage
+from touchd.drivers.robot.link import RobotLink, Told
 from touchd.drivers.robot.session import Login, RobotLimits, RobotSettings, qi_installed
 
 needs_qi = pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
@@ -83,9 +87,16 @@ IMPATIENT = RobotLimits(call_s=0.3, heartbeat_s=0.1)
 GESTURE, DETAIL, STATUS = "TouchGesture/Gesture", "TouchGesture/Detail", "TouchGesture/Status"
 
 
-def message(gesture: str = "stroke", touch: int = 1, **other: Any) -> RobotMessage:
-    values: dict[str, Any] = {"confidence": 0.81, "time_s": time.time(), "stage": "early", "sequence": touch}
-    return RobotMessage(gesture=gesture, touch=touch, **(values | other))
+def message(
+    gesture: str = "stroke",
+    touch: int = 1,
+    time_s: float | None = None,
+    sequence: int | None = None,
+    **other: Any,
+) -> Told:
+    time_s, number = time_s or time.time(), sequence or touch
+    values = {"gesture": gesture, "touch": touch, "time": timestamp(time_s), **other}
+    return told_of(msgspec.structs.replace(PREDICTION, **values), number)
 
 
 def answer(link: RobotLink, gesture: str = "stroke", touch: int = 1) -> None:
