@@ -9,7 +9,6 @@ import re
 import threading
 import time
 import typing
-from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from typing import NamedTuple
@@ -83,11 +82,6 @@ class RobotLink:
 
             self._acts = acting.ActWorker(self._open, self._limits)
             self._workers.append(self._acts)
-
-    @property
-    def counts(self) -> Counter[str]:
-        """How many of the published messages were sent, dropped and so on; see `Worker`."""
-        return self._events.counts
 
     def start(self) -> None:
         """Begin to connect; returns at once, and the link keeps trying until it is stopped."""

@@ -4,7 +4,6 @@ import logging
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections import Counter
 from collections.abc import Callable
 from contextlib import closing, suppress
 from typing import Generic, Literal, TypeAlias, TypeVar
@@ -31,9 +30,8 @@ class Worker(ABC, Generic[Item]):
     RobotRefused.
     open_session: returns a new, unconnected session, given the event that is set once the daemon stops.
     on_state: called after each attempt to connect and each loss, from the worker's thread.
-    counts: what became of the items; queued = sent + dropped (the queue was full) + stale (waited too long)
-    + failed (refused, or the robot was lost during the call; not repeated, since it may have been carried
-    out) + those still waiting.
+    An item is dropped if the queue is full or it waited too long. One that was refused, or during whose call
+    the robot was lost, is not repeated, since it may have been carried out.
     """
 
     def __init__(
@@ -49,7 +47,6 @@ class Worker(ABC, Generic[Item]):
         self._faults = FaultLog(log)
         self._wake = Signal()
         self._queue: DroppingQueue[tuple[float, Item]] = DroppingQueue(limits.capacity, filled=self._wake)
-        self._counts: Counter[str] = Counter()
         self._backoff = Backoff(limits.backoff_first_s, limits.backoff_cap_s)
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
@@ -68,16 +65,11 @@ class Worker(ABC, Generic[Item]):
     def end(self, session: RobotSession) -> None:
         """Clean up on the robot before the session is closed."""
 
-    @property
-    def counts(self) -> Counter[str]:
-        return self._counts + Counter(dropped=self._queue.dropped)
-
     def start(self) -> None:
         self._thread.start()
 
     def put(self, item: Item) -> None:
         """Queue an item and return at once; call it from one thread."""
-        self._counts["queued"] += 1
         self._queue.put((time.monotonic(), item))
 
     def ask_to_stop(self) -> None:
@@ -140,16 +132,12 @@ class Worker(ABC, Generic[Item]):
         """Handle the oldest item that is not stale; returns whether the robot was called."""
         oldest_s = time.monotonic() - self._limits.stale_s
         while (entry := self._queue.get_nowait()) is not None and entry[0] < oldest_s:
-            self._counts["stale"] += 1
+            pass
         if entry is None:
             return False
-        became = "failed"
         try:
             self.handle(session, entry[1])
-            became = "sent"
             self._faults.end("refused", "the robot does as asked again")
         except RobotRefused as refused:
             self._faults.begin("refused", f"the robot refused {refused}")
-        finally:
-            self._counts[became] += 1
         return True

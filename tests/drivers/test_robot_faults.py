@@ -49,7 +49,6 @@ def test_a_kill_during_a_call_is_survived() -> None:
         hears(robot, link)
         # A call in progress may have been carried out, so it is not repeated.
         assert robot.calls.raised(GESTURE) == ["pat"]
-        assert link.counts["failed"] == 1
 
 
 def test_a_hang_is_noticed_and_events_flow_again_after_it() -> None:
@@ -100,7 +99,6 @@ def test_no_call_reaches_a_robot_before_its_login() -> None:
         link.stop()
     assert "connecting: no answer within" in states.wait_for("down")
     assert asked == []
-    assert link.counts["dropped"] == 500 - IMPATIENT.capacity
 
 
 def test_a_robot_that_returns_gets_the_status() -> None:
@@ -127,7 +125,6 @@ def test_stale_messages_are_dropped_and_fresh_ones_sent() -> None:
             states.wait_for("down", "up")
             hears(robot, link, "fresh")
             assert robot.calls.raised(GESTURE) == ["fresh"]
-            assert (link.counts["queued"], link.counts["stale"]) == (2, 1)
 
 
 def test_a_robot_without_its_memory_is_down_and_says_why() -> None:
@@ -163,14 +160,11 @@ def speaker(robot: Robot) -> Iterator[IO[str]]:
 def test_a_service_that_comes_back_is_used_again(caplog: pytest.LogCaptureFixture) -> None:
     with Robot(without=["ALTextToSpeech"]) as robot, linked(robot, acts=True) as (link, states):
         states.wait_for("up")
-        actions = link._acts
-        assert actions is not None
         with speaker(robot) as said:
             link.act([say("pat")])
             assert said.readline() == "pat\n"
         link.act([say("rub")])
-        wait_for(lambda: actions.counts["sent"] + actions.counts["failed"] == 2)
-        assert "the robot refused" in caplog.text
+        wait_for(lambda: "the robot refused" in caplog.text)
         with speaker(robot) as said:
             link.act([say("stroke")])
             assert said.readline() == "stroke\n"
@@ -239,7 +233,6 @@ def test_publishing_to_a_hung_robot_returns_at_once() -> None:
             answer(link, f"gesture {number}", number)
         # A generous limit: a single call to the robot may take as long as this.
         assert time.monotonic() - started_s < AT_ONCE_S
-        assert link.counts["dropped"] == 495
         robot.resume()
         robot.calls.wait_for_raise(GESTURE, "gesture 499")
         assert robot.calls.raised(GESTURE) == [f"gesture {number}" for number in range(495, 500)]
