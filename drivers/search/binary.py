@@ -7,17 +7,14 @@ ever in between.
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from msgspec import convert
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from touchd.drivers.frame import CLOCK_MODULUS
 from touchd.drivers.pad.binary import CELL_BITS, PLAIN_CELLS
 from touchd.drivers.pad.format import PadFormat
-from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.search.neighbours import Numbers, Placement
 from touchd.drivers.search.text import LEAST_FRAMES
 
@@ -33,8 +30,6 @@ STRAY, STRAY_A_BYTE = 1.5, 0.01
 # A frame's length is a distance at which the same bytes, as many as one of these, recur so often that they
 # cover this share of all. Chosen on the presets' streams; the length of the largest pad limits it.
 GRAMS, COVERED, SHORTEST_LENGTH, LONGEST_LENGTH, LENGTH_BYTES = (1, 2, 3, 4), 0.6, 17, 17_000, 400_000
-# A board's clock differs from ours by less, also while a loaded machine reads late.
-CLOCK_TOLERANCE = 0.1
 # Floats of a pad are zero or of a size between these; integers read as floats are not.
 TINY_FLOAT, HUGE_FLOAT = 1e-9, 1e9
 
@@ -137,23 +132,3 @@ def _decoded(cells: NDArray[np.uint8], kind: str) -> Numbers | None:
         sent = np.ascontiguousarray(cells).view(kind).astype(np.float64)
         is_usual = (sent == 0) | ((np.abs(sent) > TINY_FLOAT) & (np.abs(sent) < HUGE_FLOAT))
     return np.where(is_usual, sent, 0) if is_usual.mean() >= STEADY_SHARE else None
-
-
-def with_clock(described: PadFormat, data: bytes, seconds: float) -> PadFormat:
-    """Return a description with the clock that is among the bytes it skips, if there is one."""
-    if described.skip < 4:
-        return described
-    clocked = replace(described, clock=True, skip=described.skip - 4)
-    frames = parser_of(clocked).feed(data, 0.0)
-    elapsed_ms = sum((b.sensor_ms - a.sensor_ms) % CLOCK_MODULUS for a, b in pairwise(frames))
-    return clocked if abs(elapsed_ms / (1000 * seconds) - 1) < CLOCK_TOLERANCE else described
-
-
-def with_checksum(described: PadFormat, data: bytes) -> PadFormat:
-    """Return a description with the checksum that the byte after its cells is, if it is one."""
-    for kind in ("values", "sum8", "xor8") if described.tail == 1 and described.cell != "f32" else ():
-        parser = parser_of(replace(described, tail=0, checksum=kind))
-        parser.feed(data, 0.0)
-        if parser.counts.bad_checksum < (1 - STEADY_SHARE) * parser.counts.frames:
-            return parser.format
-    return described

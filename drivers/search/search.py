@@ -13,6 +13,7 @@ import numpy as np
 
 from touchd.drivers.pad.arrived import has_text, is_text, looks_like
 from touchd.drivers.pad.format import PRESETS, PadFormat
+from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.search import binary, text
 from touchd.drivers.search.listen import MOST_BYTES, Chunk
 from touchd.drivers.search.neighbours import Placement, is_turned, movement, thinned, together
@@ -140,23 +141,31 @@ def _proven(best: Placement, arrived: Arrived, saw: str) -> Finding:
     described = scaled(best)
     if missing := objection(replace(best, described=described)):
         return Finding(None, missing, saw, described, may_come=True)
-    if arrived.lines is None:
-        described = binary.with_clock(described, arrived.data, arrived.seconds)
-        described = binary.with_checksum(described, arrived.data)
-    described = as_preset(described, arrived.data)
+    described = _completed(described, arrived)
     if missing := unexplained(described, best.values, arrived.chunks):
         return Finding(None, missing, saw, described)
     return Finding(described, "", saw, described)
 
 
-def as_preset(described: PadFormat, data: bytes) -> PadFormat:
-    """Return the preset with the same grid and direction that reads the data, if it says more than these."""
-    for preset in PRESETS.values():
-        same = (preset.framing, preset.rows, preset.columns, preset.invert)
-        is_same = same == (described.framing, described.rows, described.columns, described.invert)
-        if is_same and (preset.framing == "binary" or preset.crop) and reads(preset, data):
-            return preset
-    return described
+def _completed(described: PadFormat, arrived: Arrived) -> PadFormat:
+    """Return a description with the clock and the checksum beside its cells, or a preset that says more."""
+    more = [each for each in PRESETS.values() if _reading_of(each) == _reading_of(described)]
+    if described.framing == "binary" and described.skip >= 4:
+        clocked = msgspec.structs.replace(described, clock=True, skip=described.skip - 4)
+        parser = parser_of(clocked)
+        for chunk in arrived.chunks:
+            parser.feed(*chunk)
+        described = clocked if parser.clock.dates_frames else described
+    if described.framing == "binary" and described.tail == 1:
+        kinds = ("values", "sum8", "xor8")
+        more += [msgspec.structs.replace(described, tail=0, checksum=kind) for kind in kinds]
+    return next((each for each in more if reads(each, arrived.data)), described)
+
+
+def _reading_of(described: PadFormat) -> tuple[object, ...]:
+    """Return the grid of a description and what its values mean."""
+    grid = (described.framing, described.rows, described.columns)
+    return (*grid, described.full_scale, described.invert)
 
 
 def as_yaml(described: PadFormat) -> str:
