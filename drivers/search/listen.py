@@ -11,8 +11,8 @@ from touchd.drivers.pad.arrived import is_text
 from touchd.drivers.pad.format import PRESETS
 from touchd.drivers.pad.port import Line, read_waiting
 from touchd.drivers.pad.protocol import parser_of
-from touchd.drivers.pad.text import ended_at, lines_in, numbers_in
 from touchd.drivers.search.binary import tables
+from touchd.drivers.search.text import lines_of
 
 # The usual baud rates, the likeliest first; 512000 is that of the lab's Mega build.
 USUAL_BAUDS = (
@@ -26,7 +26,7 @@ SAMPLE_S = 1.0
 # Single bits occur in more than half of random bytes; line noise makes some at a rate that is too high, too.
 FEW_BYTES = 0.01
 # Ranks of what a rate may yield, not measures: text with numbers ends the search, as no wrong rate yields it.
-WITH_NUMBERS, WORDS, FRAMES, SINGLE_BITS = 3.0, 2.5, 2.0, 0.5
+WITH_NUMBERS, FRAMES, SINGLE_BITS = 3.0, 2.0, 0.5
 # Most bytes that are kept, the latest ones: eight seconds of the largest preset take a fifth of them.
 MOST_BYTES = 1_000_000
 
@@ -88,9 +88,8 @@ def likeliest_baud(opened: Line, bauds: Sequence[int], say: Callable[[int], None
 
 def likelihood(data: bytes) -> float:
     """Rate a sample: text with numbers is certain; next come frames of one length, then single bits."""
-    if is_text(data):
-        lines = list(lines_in(data[: ended_at(data)]))
-        return WITH_NUMBERS if any(numbers_in(line)[0] for line in lines) else WORDS
+    if is_text(data) and any(line.numbers for line in lines_of(data)):
+        return WITH_NUMBERS
     return FRAMES * (next(tables(data), None) is not None) + SINGLE_BITS * has_single_bits(data)
 
 

@@ -1,7 +1,7 @@
 """What a pad sends, before anybody told its rows and columns: numbers a frame, and what they look like."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,7 @@ from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.search import binary, text
 
 Grid = tuple[int, int]
+SIDES = range(SHORTEST_SIDE, LONGEST_SIDE + 1)
 # A preset fits if it reads this share of what came; the proof asks for more.
 FITS = 0.9
 
@@ -41,23 +42,19 @@ def survey(data: bytes, lines: Sequence[text.TextLine] | None, seconds: float) -
         sizes = [size // cell for size in left for cell in (1, 2, 4)]
         return _shown(f"{length} bytes a frame", count / seconds, data, sizes)
     # Log lines among frames of one line look like separators.
-    usual = max(
-        text.printed(lines), key=lambda each: len(each.numbers) >= MIN_RATE_HZ * seconds, default=None
-    )
+    found = text.printed(lines)
+    usual = max(found, key=lambda each: len(each.numbers) >= MIN_RATE_HZ * seconds, default=None)
     if usual is None:
         return None
-    numbers = usual.numbers
-    count, height, width = numbers.shape
-    frame = f"{height * width} numbers a frame"
-    if height == 1:
-        cells = width - int(binary.counting(numbers[:, 0]).sum())
-        return _shown(frame, count / seconds, data, [cells])
+    count, height, width = usual.numbers.shape
     # A column of numbers that never change, but differ from line to line, numbers the rows.
-    is_still, differs = np.ptp(numbers, axis=0).max(axis=0) == 0, np.ptp(numbers[0], axis=0) > 0
-    shown = height, width - int((is_still & differs).sum())
-    if not all(SHORTEST_SIDE <= side <= LONGEST_SIDE for side in shown):
-        return _shown(frame, count / seconds, data, [math.prod(shown)])
-    return Survey(frame, count / seconds, shown, (shown, "as its lines show"))
+    is_still, differs = np.ptp(usual.numbers, axis=0).max(axis=0) == 0, np.ptp(usual.numbers[0], axis=0) > 0
+    beside = binary.counting(usual.numbers).all(axis=0) | (is_still & differs)
+    shown = height, width - int(beside.sum())
+    frame, rate_hz = f"{height * width} numbers a frame", count / seconds
+    if not all(side in SIDES for side in shown):
+        return _shown(frame, rate_hz, data, [math.prod(shown)])
+    return Survey(frame, rate_hz, shown, (shown, "as its lines show"))
 
 
 def _shown(frame: str, rate_hz: float, data: bytes, cells: Sequence[int]) -> Survey:
@@ -66,9 +63,9 @@ def _shown(frame: str, rate_hz: float, data: bytes, cells: Sequence[int]) -> Sur
     if preset:
         grid = PRESETS[preset].rows, PRESETS[preset].columns
         return Survey(frame, rate_hz, grid, (grid, f"as {preset}"))
-    squarest = min(
-        (each for count in cells for each in _grids(count)), key=lambda g: g[1] / g[0], default=None
-    )
+    sides = ((rows, count // rows) for count in cells for rows in SIDES if count % rows == 0)
+    grids = (each for each in sides if each[0] <= each[1] and each[1] in SIDES)
+    squarest = min(grids, key=lambda grid: grid[1] / grid[0], default=None)
     return Survey(frame, rate_hz, None, squarest and (squarest, "the squarest"))
 
 
@@ -81,10 +78,3 @@ def reads(preset: PadFormat, data: bytes) -> bool:
     counts = parser.counts
     frames = counts.frames + counts.duplicates + counts.bad_time
     return frames >= text.LEAST_FRAMES and frames > FITS * (frames + counts.bad - counts.bad_time)
-
-
-def _grids(cells: int) -> Iterator[Grid]:
-    """Yield the grids that this many cells form, with no more rows than columns."""
-    for rows in range(SHORTEST_SIDE, math.isqrt(cells) + 1):
-        if cells % rows == 0 and cells // rows <= LONGEST_SIDE:
-            yield rows, cells // rows
