@@ -60,11 +60,14 @@ class NetworkPort:
         if self.is_stream:
             if not data:
                 raise self._closed()
-            self._received = (self._received + data)[: LONGEST_REFUSAL + 1]
+            self._note(data)
             return data
         if not self._follows(sender):
             return b""
         return _ended_lines(data) if is_text else data
+
+    def _note(self, data: bytes) -> None:
+        self._received = (self._received + data)[: LONGEST_REFUSAL + 1]
 
     def _closed(self) -> ConnectionError:
         is_pad = self._sends_frames or len(self._received) > LONGEST_REFUSAL
@@ -97,8 +100,8 @@ class NetworkPort:
             self._socket.sendto(data, self._sender)
 
     def reset_input_buffer(self) -> None:
-        while select.select([self._socket], [], [], 0)[0] and self._socket.recv(MAX_BYTES):
-            pass
+        while select.select([self._socket], [], [], 0)[0] and (data := self._socket.recv(MAX_BYTES)):
+            self._note(data)
 
     def __enter__(self) -> "NetworkPort":
         return self
