@@ -149,16 +149,15 @@ class Decision:
 
         A high probability is not enough: the last answer may have been wrong, so the odds must have shifted.
         """
-        now, before = self.weigh(probabilities), self._answered
-        best = max(now, key=lambda label: now[label])
-        stands = self.told or NO_TOUCH
+        now = self.weigh(probabilities)
+        best, stands = _likeliest(now), self.told or NO_TOUCH
 
-        def log_odds(scene: dict[str, float], a: str, b: str) -> float:
-            return math.log(
-                max(scene.get(a, 0.0), LEAST_PROBABILITY) / max(scene.get(b, 0.0), LEAST_PROBABILITY)
-            )
+        def log_odds(scene: dict[str, float]) -> float:
+            """Return those of the gesture that is likeliest now against the one that stands."""
+            likely, other = (max(scene.get(label, 0.0), LEAST_PROBABILITY) for label in (best, stands))
+            return math.log(likely / other)
 
-        return log_odds(now, best, stands) + log_odds(before, stands, best) >= CHANGED_LOG_ODDS
+        return log_odds(now) - log_odds(self._answered) >= CHANGED_LOG_ODDS
 
     def is_sure(self, probabilities: NDArray[np.float64], frames: int) -> bool:
         """Whether to answer early now, `frames` into the touch; False for an answer that may not be told."""

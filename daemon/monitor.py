@@ -169,7 +169,8 @@ class _Gaps:
             self._since_s = frame.host_s
         if self._without_gap >= WITHOUT_GAP_FRAMES:
             self._since_s = frame.host_s
-            rate_hz = 1000 * (WITHOUT_GAP_FRAMES - 1) / self._clock_ms if self._clock_ms else FRAME_RATE_HZ
+            took_ms = (frame.sensor_ms - self._frames[0].sensor_ms) % CLOCK_MODULUS
+            rate_hz = 1000 * (WITHOUT_GAP_FRAMES - 1) / took_ms if took_ms else FRAME_RATE_HZ
             if rate_hz >= MIN_RATE_HZ - 0.5:
                 self.faults.clear()
             else:
@@ -193,11 +194,6 @@ class _Gaps:
                 "on the way?"
             )
         return _too_slow(rate_hz)
-
-    @property
-    def _clock_ms(self) -> float:
-        """The time that the last frames took by the pad's clock."""
-        return float((self._frames[-1].sensor_ms - self._frames[0].sensor_ms) % CLOCK_MODULUS)
 
 
 def _too_slow(rate_hz: float) -> str:

@@ -142,7 +142,8 @@ class Pipeline:
         self._stale_s = settings.decision.stale_s + settings.touch.quiet_s
         self._model = model
         self._tracker = TouchTracker(settings.touch, _question(model))
-        self._ring = Ring(_history_frames(settings), first_index)
+        # The longest window, and twice what settles before a touch ends.
+        self._ring = Ring(self._final_frames + 2 * SETTLED_FRAMES, first_index)
         self._numbers = itertools.count(1)
         self._size_mm = settings.size_mm
         self._touch: Touch | None = None
@@ -380,8 +381,3 @@ def _question(model: Classifier) -> Question | None:
 def _as_sent(frame: GridFrame) -> int:
     """Return the sensor's clock at a point of the grid as the sensor sends it, (0 to 2^32 - 1) ms."""
     return round(frame.sensor_ms) % CLOCK_MODULUS
-
-
-def _history_frames(settings: PipelineSettings) -> int:
-    """Return how many frames to keep: the longest window, and twice what settles before a touch ends."""
-    return settings.decision.answer_at_frames[-1] + 2 * SETTLED_FRAMES
