@@ -21,8 +21,8 @@ from touchd.drivers.pad.format import LONGEST_SIDE, SHORTEST_SIDE, PadFormat
 from touchd.drivers.pad.port import Line, read_waiting
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.search.listen import Chunk, listen
-from touchd.drivers.search.search import Finding, arrived_in, search
-from touchd.drivers.search.survey import Grid
+from touchd.drivers.search.search import Finding, search
+from touchd.drivers.search.survey import Grid, survey
 
 # A pad of 8 frames a second sends 16 in this time; half of them are enough to see their size.
 REST_S = 2.0
@@ -73,7 +73,7 @@ def add_grid(parser: argparse.ArgumentParser) -> None:
 
 def ask_grid(console: Console, opened: Line) -> Grid | None:
     """Say how large the pad's frames are, and ask for its rows and columns; None if nothing has frames."""
-    seen = arrived_in([Chunk(b"", time.monotonic()), *listen(opened, REST_S)]).survey
+    seen = survey([Chunk(b"", time.monotonic()), *listen(opened, REST_S)])
     if seen is None:
         return None
     likely, why = seen.likely or (None, "")

@@ -12,7 +12,6 @@ from touchd.drivers.pad.format import PRESETS
 from touchd.drivers.pad.port import Line, read_waiting
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.search.binary import tables
-from touchd.drivers.search.text import lines_of
 
 # The usual baud rates, the likeliest first; 512000 is that of the lab's Mega build.
 USUAL_BAUDS = (
@@ -26,6 +25,7 @@ SAMPLE_S = 1.0
 # Single bits occur in more than half of random bytes; line noise makes some at a rate that is too high, too.
 FEW_BYTES = 0.01
 # Ranks of what a rate may yield, not measures: text with numbers ends the search, as no wrong rate yields it.
+DIGITS = b"0123456789"
 WITH_NUMBERS, FRAMES, SINGLE_BITS = 3.0, 2.0, 0.5
 # Most bytes that are kept, the latest ones: eight seconds of the largest preset take a fifth of them.
 MOST_BYTES = 1_000_000
@@ -36,6 +36,11 @@ class Chunk(NamedTuple):
 
     data: bytes
     host_s: float
+
+
+def seconds_of(chunks: Sequence[Chunk]) -> float:
+    """Return how long chunks took to arrive, from the first on."""
+    return max(chunks[-1].host_s - chunks[0].host_s, 1e-3)
 
 
 def listen(
@@ -88,7 +93,7 @@ def likeliest_baud(opened: Line, bauds: Sequence[int], say: Callable[[int], None
 
 def likelihood(data: bytes) -> float:
     """Rate a sample: text with numbers is certain; next come frames of one length, then single bits."""
-    if is_text(data) and any(line.numbers for line in lines_of(data)):
+    if is_text(data) and any(digit in data for digit in DIGITS):
         return WITH_NUMBERS
     return FRAMES * (next(tables(data), None) is not None) + SINGLE_BITS * has_single_bits(data)
 

@@ -80,9 +80,9 @@ def _shared(moved: Moved, one: Cells, other: Cells) -> float:
     return float((moved[:, one.ravel()] * moved[:, other.ravel()]).sum() / one.size)
 
 
-def is_turned(moved: Moved, cells: Cells) -> bool:
+def is_turned(placed: Placement) -> bool:
     """Whether the cells of a grid seem to be sent column by column: they move as those a column later do."""
-    rows, columns = cells.shape
+    moved, (rows, columns) = movement(placed.values), placed.cells.shape
     return rows != columns and _is_stride(moved, rows) and not _is_stride(moved, columns)
 
 

@@ -4,18 +4,17 @@ Told the grid, arithmetic leaves a few placements of the cells in a frame. The o
 together most is proposed if a hand presses the pad and touchd's own parser reads nearly all that came.
 """
 
-import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import msgspec
 import numpy as np
 
-from touchd.drivers.pad.arrived import has_text, is_text, looks_like
-from touchd.drivers.pad.format import PRESETS, PadFormat
+from touchd.drivers.pad.arrived import has_text, looks_like
+from touchd.drivers.pad.format import PRESETS, PadFormat, as_yaml
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.search import binary, text
-from touchd.drivers.search.listen import MOST_BYTES, Chunk
+from touchd.drivers.search.listen import MOST_BYTES, Chunk, seconds_of
 from touchd.drivers.search.neighbours import Placement, is_turned, movement, thinned, together
 from touchd.drivers.search.proof import objection, scaled, unexplained
 from touchd.drivers.search.survey import Grid, Survey, reads, survey
@@ -51,129 +50,77 @@ class Finding:
         return "; ".join(part for part in (likely, self.missing) if part)
 
 
-@dataclass(frozen=True)
-class Arrived:
-    """The bytes that arrived, in chunks and together, and the lines of a text; None if it is no text."""
-
-    chunks: Sequence[Chunk]
-    data: bytes
-    lines: Sequence[text.TextLine] | None
-
-    @property
-    def seconds(self) -> float:
-        return max(self.chunks[-1].host_s - self.chunks[0].host_s, 1e-3)
-
-    @property
-    def survey(self) -> Survey | None:
-        return survey(self.data, self.lines, self.seconds)
-
-
-def arrived_in(chunks: Sequence[Chunk]) -> Arrived:
-    """Return what arrived, the latest MOST_BYTES."""
-    first, size = len(chunks), 0
-    while first and size + len(chunks[first - 1].data) <= MOST_BYTES:
-        first -= 1
-        size += len(chunks[first].data)
-    data = b"".join(chunk.data for chunk in chunks[first:])
-    is_printed = is_text(data) and len(data.splitlines()) > text.LEAST_FRAMES
-    return Arrived(chunks[first:], data, text.lines_of(data) if is_printed else None)
-
-
 def search(chunks: Sequence[Chunk], grid: Grid | None) -> Finding:
     """Search for the description of a pad in its bytes. grid: its rows and columns, if somebody told them."""
-    arrived = arrived_in(chunks)
-    data = arrived.data
+    sizes = np.cumsum([len(chunk.data) for chunk in chunks[::-1]])
+    chunks = chunks[len(chunks) - int(np.searchsorted(sizes, MOST_BYTES, "right")) :]
+    data = b"".join(chunk.data for chunk in chunks)
     if not data:
         return Finding(None, "is it the pad's port, and does the pad run?", "nothing arrives")
-    saw = f"{len(data) / arrived.seconds:.0f} bytes/s of {looks_like(data)}"
-    seen = arrived.survey
+    saw = f"{len(data) / seconds_of(chunks):.0f} bytes/s of {looks_like(data)}"
+    lines, seen = text.lines_of(data), survey(chunks)
     grid = grid or (seen.grid if seen else None)
-    best = _best(_placements(arrived, grid)) if grid else None
-    return (
-        Finding(None, _why_none_fits(arrived, seen, grid), saw)
-        if best is None
-        else _proven(best, arrived, saw)
-    )
+    best = _best(data, lines, grid) if grid else None
+    if grid is None or best is None:
+        return Finding(None, _why_none_fits(data, lines is not None, seen, grid), saw)
+    if is_turned(best):
+        turned = msgspec.structs.replace(best.described, rows=grid[1], columns=grid[0])
+        best = replace(best, described=turned)
+    best = replace(best, described=scaled(best))
+    if missing := objection(best):
+        return Finding(None, missing, saw, best.described, may_come=True)
+    described = _completed(best.described, chunks)
+    missing = unexplained(described, best.values, chunks)
+    return Finding(None if missing else described, missing, saw, described)
 
 
-def _placements(arrived: Arrived, grid: Grid) -> Iterator[Placement]:
-    """Yield where the cells of a grid may lie in the frames."""
-    if arrived.lines is None:
-        return binary.placements(arrived.data, *grid)
-    return text.placements(arrived.lines, *grid)
+def _best(data: bytes, lines: Sequence[text.TextLine] | None, grid: Grid) -> Placement | None:
+    """Return the placement in which neighbours move together most, smoothly.
 
-
-def _best(placements: Iterable[Placement]) -> Placement | None:
-    """Return the placement in which neighbours move together most, smoothly."""
-    rated = (_rated(each) for each in placements if not binary.counting(each.values).any())
+    If two fit as well, as around a border that never changes, take the cells that rest at the same value.
+    """
+    placed = binary.placements(data, *grid) if lines is None else text.placements(lines, *grid)
+    cells = (each for each in placed if not binary.counting(each.values).any())
+    rated = ((each, _fit(each), -np.ptp(np.median(each.values, axis=0))) for each in cells)
     return max(rated, key=lambda each: each[1:], default=(None,))[0]
 
 
-def _rated(placed: Placement) -> tuple[Placement, float, float]:
-    """Return a placement, turned if need be, and how much its neighbours move together, for its roughness.
-
-    If both fit as well, as around a border that never changes, take the cells that rest at the same value.
-    """
-    moved = movement(placed.values)
-    if is_turned(moved, placed.cells):
-        rows, columns = placed.described.columns, placed.described.rows
-        described = msgspec.structs.replace(placed.described, rows=rows, columns=columns)
-        placed = replace(placed, described=described)
+def _fit(placed: Placement) -> float:
+    """Return how much a placement's neighbours move together, for its roughness."""
     steps = np.abs(np.diff(thinned(placed.values), axis=0)).mean(axis=0)
     roughness = max(float(steps.sum()) / max(int((steps > 0).sum()), 1), 1e-9)
-    score = together(moved, placed.cells) / roughness**ROUGHNESS
-    return placed, round(score, 4), -float(np.ptp(np.median(placed.values, axis=0)))
+    fit: float = together(movement(placed.values), placed.cells) / roughness**ROUGHNESS
+    return round(fit, 4)
 
 
-def _why_none_fits(arrived: Arrived, seen: Survey | None, grid: Grid | None) -> str:
-    if not arrived.data.strip() or has_text(arrived.data):
+def _why_none_fits(data: bytes, is_printed: bool, seen: Survey | None, grid: Grid | None) -> str:
+    if not data.strip() or has_text(data):
         return "print lines of numbers and nothing else"
     if seen is None:
-        return NO_FRAMES_IN_BYTES if arrived.lines is None else f"no frames: {PRINT_FRAMES}"
+        return f"no frames: {PRINT_FRAMES}" if is_printed else NO_FRAMES_IN_BYTES
     if grid is None:
         return f"{seen.frame}; say --grid ROWSxCOLUMNS"
     unfit = f"{seen.frame}, which do not fit {grid[0]}x{grid[1]} cells; say another --grid"
-    return unfit if arrived.lines is None else f"{unfit}, or {PRINT_FRAMES}"
+    return f"{unfit}, or {PRINT_FRAMES}" if is_printed else unfit
 
 
-def _proven(best: Placement, arrived: Arrived, saw: str) -> Finding:
-    """Return the description of a placement, with its proof or what the proof is missing."""
-    described = scaled(best)
-    if missing := objection(replace(best, described=described)):
-        return Finding(None, missing, saw, described, may_come=True)
-    described = _completed(described, arrived)
-    if missing := unexplained(described, best.values, arrived.chunks):
-        return Finding(None, missing, saw, described)
-    return Finding(described, "", saw, described)
-
-
-def _completed(described: PadFormat, arrived: Arrived) -> PadFormat:
+def _completed(described: PadFormat, chunks: Sequence[Chunk]) -> PadFormat:
     """Return a description with the clock and the checksum beside its cells, or a preset that says more."""
     more = [each for each in PRESETS.values() if _reading_of(each) == _reading_of(described)]
     if described.framing == "binary" and described.skip >= 4:
         clocked = msgspec.structs.replace(described, clock=True, skip=described.skip - 4)
         parser = parser_of(clocked)
-        for chunk in arrived.chunks:
+        for chunk in chunks:
             parser.feed(*chunk)
         described = clocked if parser.clock.dates_frames else described
     if described.framing == "binary" and described.tail == 1:
         kinds = ("values", "sum8", "xor8")
         more += [msgspec.structs.replace(described, tail=0, checksum=kind) for kind in kinds]
-    return next((each for each in more if reads(each, arrived.data)), described)
+    data = b"".join(chunk.data for chunk in chunks)
+    return next((each for each in more if reads(each, data)), described)
 
 
 def _reading_of(described: PadFormat) -> tuple[object, ...]:
     """Return the grid of a description and what its values mean."""
     grid = (described.framing, described.rows, described.columns)
     return (*grid, described.full_scale, described.invert)
-
-
-def as_yaml(described: PadFormat) -> str:
-    """Return a description as it stands in the configuration, on one line."""
-    for name, preset in PRESETS.items():
-        if preset == described:
-            return f"format: {name}"
-    always = {"framing": described.framing, "rows": described.rows, "columns": described.columns}
-    fields = always | msgspec.to_builtins(described) | {"full_scale": described.full_scale}
-    shown = {key: f"{value:g}" if key == "full_scale" else json.dumps(value) for key, value in fields.items()}
-    return f"format: {{{', '.join(f'{key}: {value}' for key, value in shown.items())}}}"

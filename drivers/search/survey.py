@@ -10,6 +10,7 @@ from touchd.drivers.frame import MIN_RATE_HZ
 from touchd.drivers.pad.format import LONGEST_SIDE, PRESETS, SHORTEST_SIDE, PadFormat
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.search import binary, text
+from touchd.drivers.search.listen import Chunk, seconds_of
 
 Grid = tuple[int, int]
 SIDES = range(SHORTEST_SIDE, LONGEST_SIDE + 1)
@@ -31,8 +32,10 @@ class Survey:
     likely: tuple[Grid, str] | None
 
 
-def survey(data: bytes, lines: Sequence[text.TextLine] | None, seconds: float) -> Survey | None:
-    """Look at what arrived within some seconds; None if it has no frames."""
+def survey(chunks: Sequence[Chunk]) -> Survey | None:
+    """Look at what arrived; None if it has no frames."""
+    data, seconds = b"".join(chunk.data for chunk in chunks), seconds_of(chunks)
+    lines = text.lines_of(data)
     if lines is None:
         table = next(binary.tables(data), None)
         if table is None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from touchd.drivers.pad.arrived import is_text
 from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.text import ended_at, lines_in, numbers_in
 from touchd.drivers.search.neighbours import Cells, Numbers, Placement
@@ -44,10 +45,10 @@ class Printed:
     end: str
 
 
-def lines_of(data: bytes) -> list[TextLine]:
-    """Return the whole lines of a text."""
-    text = data[: ended_at(data)]
-    return [TextLine(*numbers_in(line), line) for line in lines_in(text)][1:] if text else []
+def lines_of(data: bytes) -> list[TextLine] | None:
+    """Return the whole lines of a text; None if it is no text, or has too few."""
+    lines = list(lines_in(data[: ended_at(data)])) if is_text(data) else []
+    return [TextLine(*numbers_in(line), line) for line in lines[1:]] if len(lines) > LEAST_FRAMES else None
 
 
 def printed(lines: Sequence[TextLine]) -> Iterator[Printed]:
