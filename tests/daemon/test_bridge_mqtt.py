@@ -532,6 +532,18 @@ def test_a_broker_that_cannot_say_its_limit_does_not_lose_the_small_events(
     assert "perhaps takes" in caplog.text
 
 
+def test_an_announcement_over_an_ended_connection_does_not_end_the_bridge() -> None:
+    from touchd.daemon.bridges.mqtt import Client, MqttBridge
+
+    bridge, client = MqttBridge(announced(1), "pad"), Client("name", MQTTv311)
+    vars(bridge)["_version"] = MQTTv311
+    # It was never connected, so paho refuses the announcement.
+    bridge._publish_announcement(client)
+    for _ in range(3):
+        bridge._learn(client, 100, is_taken=False)
+    assert bridge._seems_longest == 75
+
+
 def test_a_return_of_the_broker_is_said_once(
     tmp_path: Path, opened: Open, caplog: pytest.LogCaptureFixture
 ) -> None:
