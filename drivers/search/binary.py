@@ -6,7 +6,6 @@ ever in between.
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from msgspec import convert
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 
 from touchd.drivers.pad.binary import CELL_BITS, PLAIN_CELLS
 from touchd.drivers.pad.format import PadFormat
-from touchd.drivers.search.neighbours import Numbers, Placement
+from touchd.drivers.search.proof import Cells, Numbers, Placement
 from touchd.drivers.search.text import LEAST_FRAMES
 
 # Bytes of a frame beside its cells: header, length, 64-bit clock, counter and checksum take 20.
@@ -25,8 +24,6 @@ MOST_AROUND = 32
 LONGEST_HEADER, SHORT_HEADER = 8, 2
 # One frame in 65 may be damaged; the proof asks for 98 %.
 STEADY_SHARE = 0.985
-# A header may also occur among the cells by chance: a single byte does once in 256 random bytes.
-STRAY, STRAY_A_BYTE = 1.5, 0.01
 # A frame's length is a distance at which the same bytes, as many as one of these, recur so often that they
 # cover this share of all. Chosen on the presets' streams; the length of the largest pad limits it.
 GRAMS, COVERED, SHORTEST_LENGTH, LONGEST_LENGTH, LENGTH_BYTES = (1, 2, 3, 4), 0.6, 17, 17_000, 400_000
@@ -34,12 +31,8 @@ GRAMS, COVERED, SHORTEST_LENGTH, LONGEST_LENGTH, LENGTH_BYTES = (1, 2, 3, 4), 0.
 TINY_FLOAT, HUGE_FLOAT = 1e-9, 1e9
 
 
-@dataclass(frozen=True, eq=False)
-class Table:
-    """Frames of one length: (frames, bytes), each from the header on, which occurs once a frame."""
-
-    header: bytes
-    frames: NDArray[np.uint8]
+Table = NDArray[np.uint8]
+"""Frames of one length, (frames, twice a frame's bytes), from an arbitrary byte of it on."""
 
 
 def counting(numbers: Numbers) -> NDArray[np.bool_]:
@@ -50,80 +43,64 @@ def counting(numbers: Numbers) -> NDArray[np.bool_]:
 
 
 def tables(data: bytes) -> Iterator[Table]:
-    """Yield the frames of each length at which the same bytes recur, that of most data first."""
-    data = data[-LENGTH_BYTES:]
-    part = np.frombuffer(data, np.uint8)
-    found: dict[int, NDArray[np.int_]] = {}
+    """Yield the frames of each length at which the same bytes recur, that of most data first.
+
+    These bytes may be as many as one of GRAMS, and are not all zero, as those of a counter may be.
+    """
+    part = np.frombuffer(data[-LENGTH_BYTES:], np.uint8)
+    found: dict[int, Cells] = {}
     for size in GRAMS if len(part) > SHORTEST_LENGTH else ():
-        for length, begins in _recurring(part, size):
-            if len(begins) > len(found.get(length, ())):
-                found[length] = begins
+        many = part.astype(np.int64)
+        codes = np.sum([many[at : len(many) - size + 1 + at] << 8 * at for at in range(size)], axis=0)
+        places = np.argsort(codes, kind="stable")
+        codes, distances = codes[places], np.diff(places)
+        fits = (codes[1:] == codes[:-1]) & (distances >= SHORTEST_LENGTH) & (distances <= LONGEST_LENGTH)
+        fits &= codes[1:] > 0
+        kinds, starts = (codes[:-1] << 16 | distances)[fits], places[:-1][fits]
+        each, times = np.unique(kinds, return_counts=True)
+        for kind in each[times * (each & 0xFFFF) > COVERED * len(part)].tolist():
+            length, begins = kind & 0xFFFF, starts[kinds == kind]
+            found[length] = max(found.get(length, begins), begins, key=len)
     for length, begins in sorted(found.items(), key=lambda each: -each[0] * len(each[1])):
         begins = begins[begins + 2 * length <= len(part)]
         if len(begins) >= LEAST_FRAMES:
-            yield from _framed(part[begins[:, None] + np.arange(2 * length)], length, data)
+            yield part[begins[:, None] + np.arange(2 * length)]
 
 
-def _framed(twice: NDArray[np.uint8], length: int, data: bytes) -> Iterator[Table]:
-    """Yield frames from each header on, the longest first. twice: each frame and the next, from anywhere on.
+def headers(table: Table) -> list[tuple[int, bytes]]:
+    """Return where the bytes that never change begin in a frame, and these bytes, the longest first.
 
     Zeros, and bytes before one that only rises, may be upper bytes of a counter, and change later.
     """
-    usual = np.median(twice, axis=0).astype(np.uint8)
-    steady = (twice == usual).mean(axis=0) >= STEADY_SHARE
-    steps = np.diff(twice.astype(np.int16), axis=0)
+    usual = np.median(table, axis=0).astype(np.uint8)
+    steady = (table == usual).mean(axis=0) >= STEADY_SHARE
+    steps = np.diff(table.astype(np.int16), axis=0)
     rises = np.logical_and((steps >= 0).all(axis=0), (steps > 0).any(axis=0))
-    found: list[Table] = []
+    found = []
     for run in re.finditer(rb"[^\0]+", np.where(steady, usual, 0).astype(np.uint8).tobytes()):
         is_counter = rises[run.end() : run.end() + 1].any()
-        header = run[0][: SHORT_HEADER if is_counter else LONGEST_HEADER]
-        is_rare = data.count(header) <= _most(len(twice), length, len(header))
-        if is_rare and run.start() < length:
-            found.append(Table(header, twice[:, run.start() : run.start() + length]))
-    yield from sorted(found, key=lambda table: -len(table.header))
-
-
-def _recurring(part: NDArray[np.uint8], size: int) -> Iterator[tuple[int, NDArray[np.int_]]]:
-    """Yield distances at which the same bytes, as many as `size`, recur, and where they do.
-
-    They cover most of the data, and hardly ever occur elsewhere. Zeros may belong to a counter.
-    """
-    many = part.astype(np.int64)
-    codes = np.sum([many[at : len(many) - size + 1 + at] << 8 * at for at in range(size)], axis=0)
-    places = np.argsort(codes, kind="stable")
-    codes, distances = codes[places], np.diff(places)
-    fits = (codes[1:] == codes[:-1]) & (distances >= SHORTEST_LENGTH) & (distances <= LONGEST_LENGTH)
-    kinds, starts = (codes[:-1] << 16 | distances)[fits], places[:-1][fits]
-    each, times = np.unique(kinds, return_counts=True)
-    for kind in each[times * (each & 0xFFFF) > COVERED * len(part)].tolist():
-        code, length = kind >> 16, kind & 0xFFFF
-        begins = starts[kinds == kind]
-        if code and np.subtract(*np.searchsorted(codes, [code + 1, code])) <= _most(
-            len(begins), length, size
-        ):
-            yield length, begins
-
-
-def _most(frames: int, length: int, size: int) -> int:
-    """Return how often a header may occur in frames of a length."""
-    return int((STRAY + STRAY_A_BYTE * length if size == 1 else STRAY) * float(frames))
+        found.append((run.start(), run[0][: SHORT_HEADER if is_counter else LONGEST_HEADER]))
+    found = [each for each in found if each[0] < table.shape[1] // 2]
+    return sorted(found, key=lambda each: -len(each[1]))
 
 
 def placements(data: bytes, rows: int, columns: int) -> Iterator[Placement]:
-    """Yield the placements of a grid's cells after the headers of the frames whose length fits."""
+    """Yield the placements of a grid's cells in the frames of the lengths that fit, longest header first."""
     for table in tables(data):
+        constant = headers(table)
         for (kind, order), sent in PLAIN_CELLS.items():
             size = rows * columns * CELL_BITS[kind] // 8
-            beside = table.frames.shape[1] - len(table.header) - size
-            if not 0 <= beside < MOST_AROUND or (kind, order) == ("u8", "big"):
+            around = table.shape[1] // 2 - size
+            if not 0 < around <= MOST_AROUND or (kind, order) == ("u8", "big"):
                 continue
-            fields = {"header": table.header.hex(), "cell": kind, "order": order, "full_scale": 1}
-            described = replace(convert(fields, PadFormat), rows=rows, columns=columns)
-            for skip in range(beside, -1, -1):
-                begin = len(table.header) + skip
-                values = _decoded(table.frames[:, begin : begin + size], sent)
-                if values is not None:
-                    yield Placement(replace(described, skip=skip, tail=beside - skip), values)
+            grid = convert({"cell": kind, "order": order, "header": "00", "full_scale": 1}, PadFormat)
+            grid = replace(grid, rows=rows, columns=columns)
+            for at, header in constant:
+                for skip in range(around - len(header) + 1):
+                    start, tail = at + len(header) + skip, around - len(header) - skip
+                    values = _decoded(table[:, start : start + size], sent)
+                    if values is not None:
+                        yield Placement(replace(grid, header=header.hex(), skip=skip, tail=tail), values)
 
 
 def _decoded(cells: NDArray[np.uint8], kind: str) -> Numbers | None:

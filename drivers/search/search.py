@@ -10,13 +10,23 @@ from dataclasses import dataclass, replace
 import msgspec
 import numpy as np
 
+from touchd.drivers.frame import MIN_RATE_HZ
 from touchd.drivers.pad.arrived import has_text, looks_like
 from touchd.drivers.pad.format import PRESETS, PadFormat, as_yaml
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.search import binary, text
 from touchd.drivers.search.listen import MOST_BYTES, Chunk, seconds_of
-from touchd.drivers.search.neighbours import Placement, is_turned, movement, thinned, together
-from touchd.drivers.search.proof import objection, scaled, unexplained
+from touchd.drivers.search.proof import (
+    Numbers,
+    Placement,
+    is_turned,
+    movement,
+    objection,
+    pairs,
+    scaled,
+    thinned,
+    together,
+)
 from touchd.drivers.search.survey import Grid, Survey, reads, survey
 
 # How much roughness counts against moving together, as an exponent. The wrong byte order is rougher by up to
@@ -24,6 +34,14 @@ from touchd.drivers.search.survey import Grid, Survey, reads, survey
 ROUGHNESS = 0.1
 PRINT_FRAMES = "print each frame in a line, or a row a line and an empty line after each frame"
 NO_FRAMES_IN_BYTES = "no frames of one length: a wrong baud rate, or no header? send a header of two bytes"
+# The parser has to read this share of what came, as docs/pads.md promises.
+EXPLAINED = 0.98
+# The fastest rate of a format, and 5 % for the error of one that is measured over seconds.
+FASTEST_HZ = 525.0
+# The parser may hold frames back for a second and a half, until it knows what their clock counts.
+UNTIL_DATED = 0.25
+# Frames of a pad do not pause for longer; the third study's do not, with their gaps.
+LONGEST_PAUSE_S = 1.5
 
 
 @dataclass(frozen=True)
@@ -58,11 +76,11 @@ def search(chunks: Sequence[Chunk], grid: Grid | None) -> Finding:
     if not data:
         return Finding(None, "is it the pad's port, and does the pad run?", "nothing arrives")
     saw = f"{len(data) / seconds_of(chunks):.0f} bytes/s of {looks_like(data)}"
-    lines, seen = text.lines_of(data), survey(chunks)
+    lines, seen = text.lines_of(data), None if grid else survey(chunks)
     grid = grid or (seen.grid if seen else None)
     best = _best(data, lines, grid) if grid else None
     if grid is None or best is None:
-        return Finding(None, _why_none_fits(data, lines is not None, seen, grid), saw)
+        return Finding(None, _why_none_fits(data, lines is not None, survey(chunks), grid), saw)
     if is_turned(best):
         turned = msgspec.structs.replace(best.described, rows=grid[1], columns=grid[0])
         best = replace(best, described=turned)
@@ -70,26 +88,21 @@ def search(chunks: Sequence[Chunk], grid: Grid | None) -> Finding:
     if missing := objection(best):
         return Finding(None, missing, saw, best.described, may_come=True)
     described = _completed(best.described, chunks)
-    missing = unexplained(described, best.values, chunks)
+    missing = unexplained(described, len(best.values), chunks)
     return Finding(None if missing else described, missing, saw, described)
 
 
 def _best(data: bytes, lines: Sequence[text.TextLine] | None, grid: Grid) -> Placement | None:
-    """Return the placement in which neighbours move together most, smoothly.
-
-    If two fit as well, as around a border that never changes, take the cells that rest at the same value.
-    """
+    """Return the placement in which neighbours move together most, smoothly."""
     placed = binary.placements(data, *grid) if lines is None else text.placements(lines, *grid)
-    cells = (each for each in placed if not binary.counting(each.values).any())
-    rated = ((each, _fit(each), -np.ptp(np.median(each.values, axis=0))) for each in cells)
-    return max(rated, key=lambda each: each[1:], default=(None,))[0]
+    return max((each for each in placed if not binary.counting(each.values).any()), key=_fit, default=None)
 
 
 def _fit(placed: Placement) -> float:
     """Return how much a placement's neighbours move together, for its roughness."""
     steps = np.abs(np.diff(thinned(placed.values), axis=0)).mean(axis=0)
     roughness = max(float(steps.sum()) / max(int((steps > 0).sum()), 1), 1e-9)
-    fit: float = together(movement(placed.values), placed.cells) / roughness**ROUGHNESS
+    fit: float = together(movement(placed.values), *pairs(placed.cells)) / roughness**ROUGHNESS
     return round(fit, 4)
 
 
@@ -124,3 +137,30 @@ def _reading_of(described: PadFormat) -> tuple[object, ...]:
     """Return the grid of a description and what its values mean."""
     grid = (described.framing, described.rows, described.columns)
     return (*grid, described.full_scale, described.invert)
+
+
+def unexplained(described: PadFormat, found: int, chunks: Sequence[Chunk]) -> str:
+    """Say what a description leaves unexplained when the daemon's own parser reads all that arrived.
+
+    found: how many frames the search found.
+    """
+    parser = parser_of(described)
+    frames = [frame for chunk in chunks for frame in parser.feed(*chunk)]
+    counts = parser.counts
+    explained = 1 - (counts.bad - counts.bad_time - 1) / found
+    if explained < EXPLAINED:
+        return f"that explains {100 * explained:.0f} % of what came, not {100 * EXPLAINED:.0f} %"
+    return _uneven(np.array([frame.host_s for frame in frames]), chunks[0].host_s, chunks[-1].host_s)
+
+
+def _uneven(came_s: Numbers, first_s: float, last_s: float) -> str:
+    """Say why frames do not come at a pad's rate, once their clock is known."""
+    first_s += UNTIL_DATED * (last_s - first_s)
+    came_s = came_s[came_s >= first_s]
+    gaps_s = np.diff(came_s)
+    rate_hz = len(gaps_s) / max(float(gaps_s.sum()), 1e-3)
+    if not MIN_RATE_HZ <= rate_hz <= FASTEST_HZ:
+        return f"{rate_hz:.1f} frames/s come; {MIN_RATE_HZ:g} to 500 are needed"
+    if np.diff(came_s, prepend=first_s, append=last_s).max() > LONGEST_PAUSE_S:
+        return "frames do not come at a steady rate, or only while the pad is pressed"
+    return ""

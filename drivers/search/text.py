@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from touchd.drivers.pad.arrived import is_text
 from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.text import ended_at, lines_in, numbers_in
-from touchd.drivers.search.neighbours import Cells, Numbers, Placement
+from touchd.drivers.search.proof import Cells, Numbers, Placement
 
 # Fewer frames than these, a second of the slowest pad, show no movement.
 LEAST_FRAMES = 8
