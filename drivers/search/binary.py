@@ -67,40 +67,32 @@ def tables(data: bytes) -> Iterator[Table]:
             yield part[begins[:, None] + np.arange(2 * length)]
 
 
-def headers(table: Table) -> list[tuple[int, bytes]]:
-    """Return where the bytes that never change begin in a frame, and these bytes, the longest first.
-
-    Zeros, and bytes before one that only rises, may be upper bytes of a counter, and change later.
-    """
-    usual = np.median(table, axis=0).astype(np.uint8)
-    steady = (table == usual).mean(axis=0) >= STEADY_SHARE
-    steps = np.diff(table.astype(np.int16), axis=0)
-    rises = np.logical_and((steps >= 0).all(axis=0), (steps > 0).any(axis=0))
-    found = []
-    for run in re.finditer(rb"[^\0]+", np.where(steady, usual, 0).astype(np.uint8).tobytes()):
-        is_counter = rises[run.end() : run.end() + 1].any()
-        found.append((run.start(), run[0][: SHORT_HEADER if is_counter else LONGEST_HEADER]))
-    found = [each for each in found if each[0] < table.shape[1] // 2]
-    return sorted(found, key=lambda each: -len(each[1]))
-
-
 def placements(data: bytes, rows: int, columns: int) -> Iterator[Placement]:
-    """Yield the placements of a grid's cells in the frames of the lengths that fit, longest header first."""
+    """Yield the placements of a grid's cells in the frames of the lengths that fit.
+
+    Their header is the longest run of bytes that never change between them. Zeros, and bytes before one that
+    only rises, may be upper bytes of a counter, and change later.
+    """
     for table in tables(data):
-        constant = headers(table)
+        length, usual = table.shape[1] // 2, np.median(table, axis=0).astype(np.uint8)
+        steady = np.where((table == usual).mean(axis=0) >= STEADY_SHARE, usual, 0).astype(np.uint8).tobytes()
+        rises = (np.diff(table.astype(np.int16), axis=0) >= 0).all(axis=0) & (np.ptp(table, axis=0) > 0)
         for (kind, order), sent in PLAIN_CELLS.items():
             size = rows * columns * CELL_BITS[kind] // 8
-            around = table.shape[1] // 2 - size
+            around = length - size
             if not 0 < around <= MOST_AROUND or (kind, order) == ("u8", "big"):
                 continue
-            grid = convert({"cell": kind, "order": order, "header": "00", "full_scale": 1}, PadFormat)
-            grid = replace(grid, rows=rows, columns=columns)
-            for at, header in constant:
-                for skip in range(around - len(header) + 1):
-                    start, tail = at + len(header) + skip, around - len(header) - skip
-                    values = _decoded(table[:, start : start + size], sent)
-                    if values is not None:
-                        yield Placement(replace(grid, header=header.hex(), skip=skip, tail=tail), values)
+            fields = {"cell": kind, "order": order, "header": "00", "full_scale": 1}
+            described = replace(convert(fields, PadFormat), rows=rows, columns=columns)
+            for end in range(length):
+                runs = re.finditer(rb"[^\0]+", steady[end : end + around])
+                run = max(runs, key=lambda run: len(run[0]), default=None)
+                values = _decoded(table[:, end + around : end + length], sent) if run else None
+                if run is None or values is None:
+                    continue
+                header = run[0][: SHORT_HEADER if rises[end + run.end()] else LONGEST_HEADER]
+                skip = around - run.start() - len(header)
+                yield Placement(replace(described, header=header.hex(), skip=skip, tail=run.start()), values)
 
 
 def _decoded(cells: NDArray[np.uint8], kind: str) -> Numbers | None:
