@@ -62,7 +62,8 @@ def tables(data: bytes) -> Iterator[Table]:
             length, begins = kind & 0xFFFF, starts[kinds == kind]
             found[length] = max(found.get(length, begins), begins, key=len)
     for length, begins in sorted(found.items(), key=lambda each: -each[0] * len(each[1])):
-        begins = begins[begins + 2 * length <= len(part)]
+        # Part of a header may recur within it, and seem to begin frames that do not follow each other.
+        begins = begins[np.isin(begins + length, begins)]
         if len(begins) >= LEAST_FRAMES:
             yield part[begins[:, None] + np.arange(2 * length)]
 
