@@ -43,7 +43,7 @@ def survey(chunks: Sequence[Chunk]) -> Survey | None:
         length = table.shape[1] // 2
         left = range(length - 1, max(length - binary.MOST_AROUND, 0), -1)
         sizes = [size // cell for size in left for cell in (1, 2, 4)]
-        return _shown(f"{length} bytes a frame", len(table) / seconds, data, sizes)
+        return _shown(f"{length} bytes a frame", len(data) / length / seconds, data, sizes)
     # Log lines among frames of one line look like separators.
     found = text.printed(lines)
     usual = max(found, key=lambda each: len(each.numbers) >= MIN_RATE_HZ * seconds, default=None)
