@@ -53,12 +53,11 @@ def lines_of(data: bytes) -> list[TextLine] | None:
 
 def printed(lines: Sequence[TextLine]) -> Iterator[Printed]:
     """Yield the frames that the lines may form: several lines a frame, and each line a frame."""
-    weight: Counter[int] = Counter()
-    for line in lines:
-        weight[len(line.numbers)] += len(line.numbers)
-    width = max(weight, key=lambda count: weight[count], default=0)
+    widths = Counter(len(line.numbers) for line in lines)
+    width = max(widths, key=lambda each: each * widths[each], default=0)
     at = np.flatnonzero([len(line.numbers) == width for line in lines])
-    if width == 0 or len(at) < LEAST_FRAMES or 2 * weight[width] < weight.total():
+    numbers_in_all = sum(each * widths[each] for each in widths)
+    if len(at) < LEAST_FRAMES or not 0 < numbers_in_all <= 2 * width * len(at):
         return
     numbers = np.array([lines[each].numbers for each in at.tolist()])
     for skip, end, is_split in _splits(lines, numbers, at):
@@ -106,7 +105,9 @@ def placements(lines: Sequence[TextLine], rows: int, columns: int) -> Iterator[P
                 framing="text", rows=rows, columns=columns, skip=skip, tail=beside - skip, end=frames.end
             )
             values = frames.numbers[:, :, skip : skip + across].reshape(count, -1)
-            if np.isfinite(values).all():
+            # Leading numbers number the lines, or stay the same: where they fall, the parser begins a frame.
+            falls = (np.diff(frames.numbers[:, :, :skip], axis=1) < 0).sum()
+            if np.isfinite(values).all() and falls <= (1 - MOSTLY) * count:
                 yield Placement(described, values)
 
 

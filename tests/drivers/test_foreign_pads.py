@@ -188,6 +188,10 @@ def test_grids_of_the_shortest_and_longest_sides_are_read(rows: int, columns: in
     assert picture_of(lambda v, n: line(v), a_hand_on(rows, columns)) > 0.97
 
 
+def test_sums_after_short_rows_are_not_cells() -> None:
+    assert picture_of(READ["rows with sums"], a_hand_on(16, 8)) > 0.97
+
+
 def test_a_grid_that_is_sent_column_by_column_is_turned() -> None:
     values = a_hand_on(8, 10)
     proposed = found_in(lambda number: line(values[number].T), (8, 10))[0].proposed
