@@ -58,8 +58,9 @@ SHOWN_STRIDE_FRAMES = 3
 # Frames of a touch given to the network at once. A step of nine frames takes 0.25 ms longer than a step of
 # one; steps of nine take half the processor time of steps of three.
 FEED_FRAMES = 9
-# Twice the frames that a reader takes at once: as many may wait in the queue as are coming.
-UNHURRIED_FRAMES = 8
+# How many frames a reader takes at once while no answer is due, and while nothing touches the pad: a wake-up
+# with cold caches costs more than a frame. As many may wait in the queue as are coming.
+TOGETHER_FRAMES, QUIET_TOGETHER_FRAMES = 4, 8
 
 Viewers: TypeAlias = Callable[[], Sequence[Callable[[LivePrediction], None]]]
 
@@ -151,18 +152,17 @@ class Pipeline:
         self._monitor = monitor or PadMonitor(pad)
 
     @property
-    def has_time(self) -> bool:
-        """Whether no answer is due within UNHURRIED_FRAMES; a change after the final one may wait."""
-        if not self._tracker.is_settled(UNHURRIED_FRAMES):
-            return False
-        touch = self._touch
+    def frames_together(self) -> int:
+        """How many of the next frames may be read at once; a change after the final answer may wait."""
+        touch, soon = self._touch, 2 * TOGETHER_FRAMES
+        if not self._tracker.is_settled(soon):
+            return 1
         if touch is None:
-            return True
-        if touch.due and 0 <= AFTER_FRAMES - touch.off_frames <= UNHURRIED_FRAMES:
-            # The hand may have left, and the answer to that comes soon.
-            return False
-        is_due = bool(touch.due) and touch.due[0][0] - touch.length <= UNHURRIED_FRAMES
-        return not is_due and not touch.waits_until_sure
+            return TOGETHER_FRAMES if self._decision_settings.early == "when_sure" else QUIET_TOGETHER_FRAMES
+        # The hand may have left, and the answer to that comes soon.
+        is_leaving = bool(touch.due) and 0 <= AFTER_FRAMES - touch.off_frames <= soon
+        is_due = bool(touch.due) and touch.due[0][0] - touch.length <= soon
+        return 1 if is_leaving or is_due or touch.waits_until_sure else TOGETHER_FRAMES
 
     def on_frame(self, frame: Frame) -> None:
         laid = self._ring.push(frame)

@@ -71,7 +71,7 @@ class Service:
         for sink in self.events.sinks:
             sink.start()
         for pad in self._parts.pads:
-            pad.sensor.start(partial(self._has_time, pad))
+            pad.sensor.start(partial(self._frames_together, pad))
         took = False
         try:
             while not must_stop():
@@ -88,10 +88,10 @@ class Service:
         finally:
             self._end()
 
-    def _has_time(self, pad: PadChannel) -> bool:
-        """Whether nobody needs a pad's next frames at once: no answer is due, and nobody is shown them."""
+    def _frames_together(self, pad: PadChannel) -> int:
+        """How many of a pad's next frames may be read at once: one while somebody is shown them."""
         is_shown = any(bridge.frames_hz is not None for bridge in self._parts.bridges)
-        return pad.pipeline.has_time and not is_shown and not self._viewers()
+        return 1 if is_shown or self._viewers() else pad.pipeline.frames_together
 
     def _viewers(self) -> list[Callable[[LivePrediction], None]]:
         """Return the current viewers of live predictions."""

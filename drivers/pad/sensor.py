@@ -24,9 +24,9 @@ FRAMELESS_S = 30.0
 PAUSED_S = 1.0
 # After a read of FLOOD_BYTES, sleep FLOOD_REST times the parse time, at most LONGEST_REST_S.
 FLOOD_BYTES, FLOOD_REST, LONGEST_REST_S = 16384, 9, 0.25
-# Frames that nobody needs at once are read four at a time at 54 Hz, because a wake-up with cold caches costs
-# more than a frame. Linux keeps 4096 bytes of a port: if half of that has come, the next read is not put off.
-UNHURRIED_S, MOST_UNHURRIED_BYTES = 0.0745, 2048
+# A frame's time at 54 Hz, with a little for jitter. Linux keeps 4096 bytes of a port: a read is put off for
+# twice the frames that the last one brought, at most, and not at all if that brought half as much.
+FRAME_S, MOST_UNHURRIED_BYTES = 0.0186, 2048
 # At this rate many boards start their boot loader when the port is closed.
 BOOT_BAUD = 1200
 # After it was reopened this often without a byte, the board needs a person.
@@ -54,7 +54,7 @@ class Sensor:
     ever longer up to longest_retry_s. Without a frame for silence_s the pad is down. After reopen_after_s
     without a byte the port is reopened, which restarts an Arduino that hangs; after frameless_s without a
     frame too. A frame's host_s is when its last byte was read.
-    While `has_time` (see `start`), a pad with a clock is read every UNHURRIED_S only.
+    Of a pad with a clock, several frames are read at once while nobody needs them sooner (see `start`).
     parser: turns the port's bytes into frames; its counts may be read from any thread.
     """
 
@@ -82,7 +82,7 @@ class Sensor:
         self._is_up = False
         self._is_shared = False
         self._silent_openings = 0
-        self._has_time: Callable[[], bool] = lambda: False
+        self._frames_together: Callable[[], int] = lambda: 1
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="touchd-sensor", daemon=True)
 
@@ -91,12 +91,12 @@ class Sensor:
         """The port, with its baud rate where it has one."""
         return self._port + at_baud(self._port, self._baud)
 
-    def start(self, has_time: Callable[[], bool] = lambda: False) -> None:
+    def start(self, frames_together: Callable[[], int] = lambda: 1) -> None:
         """Begin to read; returns at once.
 
-        has_time: whether nobody needs the next frames within UNHURRIED_S; called from the reader's thread.
+        frames_together: how many of the next frames may be read at once; called from the reader's thread.
         """
-        self._has_time = has_time
+        self._frames_together = frames_together
         if self._baud == BOOT_BAUD and "://" not in self._port:
             log.warning(
                 "%s: closing a port at 1200 baud starts the boot loader of many boards; set the baud rate of "
@@ -155,13 +155,13 @@ class Sensor:
                     # The first of these bytes may be half a frame, or frames whose clock is not yet known.
                     reported_s = now_s
                 recent = (recent + data)[-RECENT_BYTES:]
-                if self._hand_over(data, now_s):
+                if frames := self._hand_over(data, now_s):
                     frame_s, recent = now_s, b""
                     if not isinstance(opened, serial.SerialBase):
                         opened.keep_sender()
                     is_dated = self.parser.clock.dates_frames and len(data) < MOST_UNHURRIED_BYTES
-                    if can_wait and is_dated and self._has_time():
-                        time.sleep(UNHURRIED_S)
+                    if can_wait and is_dated and (together := self._frames_together()) > 1:
+                        time.sleep(FRAME_S * min(together, 2 * frames))
                 self._rest_from(len(data), now_s)
             if now_s - byte_s > self._reopen_after_s or now_s - frame_s > self._frameless_s:
                 return
@@ -170,15 +170,15 @@ class Sensor:
                 self._report_no_frames(recent, is_silent=is_silent)
                 recent = b"" if is_silent else recent
 
-    def _hand_over(self, data: bytes, host_s: float) -> bool:
-        """Parse what arrived at `host_s`; return whether it completed a frame."""
+    def _hand_over(self, data: bytes, host_s: float) -> int:
+        """Parse what arrived at `host_s`; return how many frames it completed."""
         frames = self.parser.feed(data, host_s)
         if frames and not self._is_up:
             self._is_up = True
             self._queue.put(SensorState("up", f"frames arrive from {self._port}"))
         if frames:
             self._queue.put_all(frames)
-        return bool(frames)
+        return len(frames)
 
     def _rest_from(self, count: int, begun_s: float) -> None:
         """Leave the processor to others after a read of very many bytes, which began at `begun_s`."""

@@ -191,18 +191,18 @@ def test_one_frame_is_left_for_the_model_at_a_mark() -> None:
 
 def test_frames_may_wait_unless_an_answer_is_due() -> None:
     bench, since_touch = Bench(), list[bool]()
-    assert bench.pipeline.has_time
+    assert bench.pipeline.frames_together == 8
     for _ in range(190):
         bench.feel(palm(1 / 54))
-        since_touch.append(bench.pipeline.has_time)
+        since_touch.append(bench.pipeline.frames_together == 4)
     # An answer is due at 54, 81 and 144 frames; frames may wait until 8 before each. A later change may wait.
     assert since_touch[45:53] == since_touch[72:80] == since_touch[135:143] == [False] * 8
     assert all(since_touch[10:45] + since_touch[53:72] + since_touch[80:135])
     assert all(since_touch[143:])
     bench.feel(nothing(0.7))
-    assert not bench.pipeline.has_time
+    assert bench.pipeline.frames_together == 1
     bench.feel(nothing(0.5))
-    assert bench.pipeline.has_time
+    assert bench.pipeline.frames_together == 8
 
 
 def test_frames_do_not_wait_when_the_hand_may_just_have_left() -> None:
@@ -210,7 +210,7 @@ def test_frames_do_not_wait_when_the_hand_may_just_have_left() -> None:
     bench.feel(palm(0.3))
     for _ in range(18):
         bench.feel(nothing(1 / 54))
-        since_lifted.append(bench.pipeline.has_time)
+        since_lifted.append(bench.pipeline.frames_together == 4)
     assert since_lifted == [True] * 4 + [False] * 9 + [True] * 5
 
 
