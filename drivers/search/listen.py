@@ -24,9 +24,7 @@ FIRST_BYTE_S = 3.0
 SAMPLE_S = 1.0
 # Single bits occur in more than half of random bytes; line noise makes some at a rate that is too high, too.
 FEW_BYTES = 0.01
-# Ranks of what a rate may yield, not measures: text with numbers ends the search, as no wrong rate yields it.
 DIGITS = b"0123456789"
-WITH_NUMBERS, FRAMES, SINGLE_BITS = 3.0, 2.0, 0.5
 # Most bytes that are kept, the latest ones: eight seconds of the largest preset take a fifth of them.
 MOST_BYTES = 1_000_000
 
@@ -67,7 +65,7 @@ def likeliest_baud(opened: Line, bauds: Sequence[int], say: Callable[[int], None
     say: called with each rate that is tried.
     """
     first_byte_s = FIRST_BYTE_S
-    likely: dict[int, float] = {}
+    likely: dict[int, tuple[bool, bool, bool]] = {}
     for baud in bauds:
         say(baud)
         with suppress(OSError, ValueError):
@@ -81,7 +79,7 @@ def likeliest_baud(opened: Line, bauds: Sequence[int], say: Callable[[int], None
                 return None
             first_byte_s = SAMPLE_S
             likely[baud] = likelihood(data)
-            if likely[baud] >= WITH_NUMBERS:
+            if likely[baud][0]:
                 break
     if not likely:
         return None
@@ -91,11 +89,10 @@ def likeliest_baud(opened: Line, bauds: Sequence[int], say: Callable[[int], None
     return best
 
 
-def likelihood(data: bytes) -> float:
-    """Rate a sample: text with numbers is certain; next come frames of one length, then single bits."""
-    if is_text(data) and any(digit in data for digit in DIGITS):
-        return WITH_NUMBERS
-    return FRAMES * (next(tables(data), None) is not None) + SINGLE_BITS * has_single_bits(data)
+def likelihood(data: bytes) -> tuple[bool, bool, bool]:
+    """Rate a sample: text with digits is certain; next come frames of one length, then single bits."""
+    is_printed = is_text(data) and any(digit in data for digit in DIGITS)
+    return is_printed, next(tables(data), None) is not None, has_single_bits(data)
 
 
 def has_single_bits(data: bytes) -> bool:

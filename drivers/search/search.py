@@ -24,10 +24,14 @@ from touchd.drivers.search.proof import (
     objection,
     pairs,
     scaled,
+    thinned,
     together,
 )
 from touchd.drivers.search.survey import Grid, Survey, reads, survey
 
+# How much roughness counts against moving together, as an exponent. The wrong byte order is rougher by up to
+# 256, a checksum among the cells by a third; one slow number of a frame makes them smoother by a hundredth.
+ROUGHNESS = 0.1
 PRINT_FRAMES = "print each frame in a line, or a row a line and an empty line after each frame"
 NO_FRAMES_IN_BYTES = "no frames of one length: a wrong baud rate, or no header? send a header of two bytes"
 # The parser has to read this share of what came, as docs/pads.md promises, and this share of the later frames
@@ -90,10 +94,20 @@ def search(chunks: Sequence[Chunk], grid: Grid | None) -> Finding:
 
 
 def _best(data: bytes, lines: Sequence[text.TextLine] | None, grid: Grid) -> Placement | None:
-    """Return the placement in which neighbours move together most."""
+    """Return the placement in which neighbours move together most, smoothly."""
     placed = binary.placements(data, *grid) if lines is None else text.placements(lines, *grid)
-    cells = (each for each in placed if not binary.counting(each.values).any())
-    return max(cells, key=lambda each: together(movement(each.values), *pairs(each.cells)), default=None)
+    return max((each for each in placed if not binary.counting(each.values).any()), key=_fit, default=None)
+
+
+def _fit(placed: Placement) -> tuple[float, float]:
+    """Return how much neighbours move together, for their roughness, and then how alike the cells rest.
+
+    Placements fit as well around a border that never changes; a header there rests at another value.
+    """
+    steps = np.abs(np.diff(thinned(placed.values), axis=0)).mean(axis=0)
+    roughness = max(float(steps.sum()) / max(int((steps > 0).sum()), 1), 1e-9)
+    fit = together(movement(placed.values), *pairs(placed.cells)) / roughness**ROUGHNESS
+    return round(fit, 4), -float(np.ptp(np.median(placed.values, axis=0)))
 
 
 def _why_none_fits(data: bytes, is_printed: bool, seen: Survey | None, grid: Grid | None) -> str:
