@@ -25,6 +25,7 @@ from rich.table import Table
 
 from touchd.drivers.fakes.hand import simulate
 from touchd.model.classifier import SHIPPED_MODEL, Classifier, ModelInputError
+from touchd.model.own_file import load_own
 from touchd.model.studies.checks.hard_cases import FRAMES, checkerboard, hand, hard_cases, tiny
 from touchd.model.studies.checks.timing import time_in_turn
 
@@ -92,7 +93,7 @@ def run(model: Path = SHIPPED_MODEL, hours: float = 0.0) -> list[CaseResult]:
     Checks that need the extra `train`, or the checkpoint beside the file (.pt), are skipped without it. A
     damaged checkpoint raises CheckpointError.
     """
-    classifier = Classifier.load(model)
+    classifier = load_own(model)
     two_threads = Classifier.load(model, threads=2)
     reference, weights = None, model.with_suffix(".pt")
     if has_train_extra() and weights.exists():

@@ -11,6 +11,7 @@ import msgspec
 
 from touchd.drivers.recording import Recording, Selection, read_recordings, realign
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
+from touchd.model.own_file import load_own
 from touchd.model.studies.folders import study_parser
 from touchd.model.studies.play import frames_of, play
 from touchd.model.studies.sessions.plan import SessionSettings, sessions
@@ -43,6 +44,6 @@ def main(arguments: Sequence[str]) -> int:
     select = Selection(*(tuple(text.split(",")) if text else () for text in listed))
     for path in chosen.files:
         recordings = [realign(recording) for recording in read_recordings(path, select)]
-        result = measure(recordings, settings, Classifier.load(chosen.model))
+        result = measure(recordings, settings, load_own(chosen.model))
         sys.stdout.write(f"{path.name} {msgspec.json.encode(result).decode()}\n")
     return 0

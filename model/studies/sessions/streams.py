@@ -24,6 +24,7 @@ from touchd.drivers.frame import NO_TOUCH
 from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.protocol import parser_of
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
+from touchd.model.own_file import load_own
 from touchd.model.studies.folders import study_parser
 from touchd.model.training.haart import find
 from touchd.model.training.weights import LEFT_OUT_FOLDER
@@ -176,7 +177,7 @@ def main(arguments: Sequence[str]) -> int:
     chosen = parser.parse_args(arguments)
     # Silence the daemon's log, which would report on every stream.
     logging.disable()
-    models = Classifier.load(chosen.model) if chosen.model else held_out()
+    models = load_own(chosen.model) if chosen.model else held_out()
     result = measure(chosen.third_study, models, chosen.rest)
     sys.stdout.write(f"{msgspec.json.encode(result).decode()}\n")
     return 0
