@@ -33,11 +33,12 @@ def main(arguments: Sequence[str]) -> int:
     settings = settings_of(options).settings
     in_words = sys.stdout.isatty() and not options.json
     stream = chosen_stream(options)
-    tally = Tally(stream, words_of(settings))
+    words = words_of(settings)
+    tally = Tally(stream, words)
 
     def emit(event: Event) -> None:
         tally.put(event)
-        line = describe(event, words_of(settings)) if in_words else encode(event).decode()
+        line = describe(event, words) if in_words else encode(event).decode()
         sys.stdout.write(f"{line}\n")
 
     play(stream, Pipeline(settings.pipeline, load_model(settings), emit), tally.at)

@@ -193,9 +193,11 @@ def _in_words(settings: Settings) -> Callable[[Event], bytes]:
     from touchd.daemon.terminal.describe import describe
     from touchd.daemon.words import words_of
 
+    words = words_of(settings)
+
     def line(event: Event) -> bytes:
         pad = f"{event.pad}: " if len(settings.pads) > 1 and not isinstance(event, RobotEvent) else ""
-        return f"{pad}{describe(event, words_of(settings))}".encode()
+        return f"{pad}{describe(event, words)}".encode()
 
     return line
 

@@ -173,7 +173,7 @@ class Memory:
         settings, model = self.scene
         scene = settings.scene
         labels = model.labels if model else ()
-        trace = self._trace()
+        trace, words = self._trace(), words_of(settings)
         return PageState(
             page=page,
             pad=pad,
@@ -184,8 +184,8 @@ class Memory:
             model=model.name if model else "",
             speak_above=scene.speak_above,
             revise_margin=scene.revise_margin,
-            names={label: name_of(words_of(settings), label) for label in (*labels, UNCERTAIN)},
-            guesses={label: _guess(words_of(settings), label) for label in set(labels) - {NO_TOUCH}},
+            names={label: name_of(words, label) for label in (*labels, UNCERTAIN)},
+            guesses={label: _guess(words, label) for label in set(labels) - {NO_TOUCH}},
             robot_configured=settings.robot is not None,
             action=self._action,
             sensor=self._sensor,

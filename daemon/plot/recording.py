@@ -120,7 +120,7 @@ def _rise(stream: Stream, restarts: NDArray[np.int64]) -> tuple[NDArray[np.float
     is_quiet, is_own = np.zeros((2, len(stream.counts)), dtype=np.bool_)
     for span in stream.spans:
         part = slice(span.start, span.stop)
-        # Quiet without noise is no pad's: it was made of each taxel's least reading.
+        # A rest in which no reading changes may have been made from each taxel's lowest reading.
         is_quiet[part] = span.gesture == NO_TOUCH and np.ptp(stream.counts[part], axis=0).any()
         is_own[part] = not span.is_added
     rise = stream.counts.astype(np.float64)

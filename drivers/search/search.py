@@ -100,7 +100,7 @@ def _best(data: bytes, lines: Sequence[text.TextLine] | None, grid: Grid) -> Pla
 
 
 def _fit(placed: Placement) -> tuple[float, float]:
-    """Return how much neighbours move together, for their roughness, and then how alike the cells rest.
+    """Return how much neighbours move together, relative to their roughness; and how evenly cells rest.
 
     Placements fit as well around a border that never changes; a header there rests at another value.
     """

@@ -46,7 +46,7 @@ class Printed:
 
 
 def lines_of(data: bytes) -> list[TextLine] | None:
-    """Return the whole lines of a text; None if it is no text, or has too few."""
+    """Return the complete lines; None if the bytes are not text or hold too few lines."""
     lines = list(lines_in(data[: ended_at(data)])) if is_text(data) else []
     return [TextLine(*numbers_in(line), line) for line in lines[1:]] if len(lines) > LEAST_FRAMES else None
 
