@@ -77,11 +77,13 @@ def search(chunks: Sequence[Chunk], grid: Grid | None) -> Finding:
     if not data:
         return Finding(None, "is it the pad's port, and does the pad run?", "nothing arrives")
     saw = f"{len(data) / seconds_of(chunks):.0f} bytes/s of {looks_like(data)}"
-    lines, seen = text.lines_of(data), None if grid else survey(chunks)
+    lines, is_told = text.lines_of(data), grid is not None
+    seen = None if is_told else survey(chunks)
     grid = grid or (seen.grid if seen else None)
     best = _best(data, lines, grid) if grid else None
     if grid is None or best is None:
-        return Finding(None, _why_none_fits(data, lines is not None, survey(chunks), grid), saw)
+        seen = survey(chunks) if is_told else seen
+        return Finding(None, _why_none_fits(data, lines is not None, seen, grid), saw)
     if is_turned(best):
         turned = msgspec.structs.replace(best.described, rows=grid[1], columns=grid[0])
         best = replace(best, described=turned)
