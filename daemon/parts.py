@@ -24,45 +24,44 @@ from touchd.model.classifier import Classifier
 
 if typing.TYPE_CHECKING:
     from touchd.daemon.bridges.bridge import Bridge
-    from touchd.daemon.journal import JournalSink
     from touchd.daemon.kept.touch_store import TouchSink
     from touchd.daemon.labels import Labeller
     from touchd.daemon.live.server import LiveServer
-    from touchd.daemon.robot import RobotSink
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class PadChannel:
-    """One pad: its reader, the queue that the reader fills, and the pipeline that empties it."""
+    """One pad: its reader, the queue that the reader fills, and the pipeline that empties it.
+
+    frames: processed so far. is_up: None until the reader has said whether frames come. noted_dropped: of the
+    frames that the full queue dropped, those that were noted.
+    """
 
     name: str
     model: Classifier
     queue: FrameQueue
     sensor: Sensor
     pipeline: Pipeline
+    frames: int = 0
+    is_up: bool | None = None
+    noted_dropped: int = 0
 
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """The configured pads and sinks; a sink that is not configured is None. Nothing runs yet.
+    """The configured pads and sinks. Nothing runs yet.
 
-    labeller: takes the labels of the live page, None if it takes none. Others share it, so that all labels
-    are counted together.
+    sinks: the robot comes last, so that its own events follow the answer that caused them. live, kept,
+    bridges: those of the sinks that take frames, too; None if not configured. labeller: takes the labels of
+    the live page, None if it takes none. Others share it, so that all labels are counted together.
     """
 
     pads: tuple[PadChannel, ...]
-    journal: JournalSink | None
+    sinks: tuple[Sink, ...]
     live: LiveServer | None
     kept: TouchSink | None
-    robot: RobotSink | None
     bridges: tuple[Bridge, ...]
     labeller: Labeller | None
-
-    @property
-    def sinks(self) -> tuple[Sink, ...]:
-        """All sinks, the robot last: its own events follow the answer that caused them."""
-        every = (self.journal, self.live, self.kept, *self.bridges, self.robot)
-        return tuple(sink for sink in every if sink is not None)
 
 
 @config_errors()
@@ -87,19 +86,19 @@ def make_parts(
         monitor = PadMonitor(name, sensor.parser, sensor.where)
         pipeline = Pipeline(pad.pipeline, models[name], emit, None, name, viewers, number, monitor)
         pads.append(PadChannel(name, models[name], queue, sensor, pipeline))
-    journal: JournalSink | None = None
+    sinks: list[Sink] = []
     kept: TouchSink | None = None
     live: LiveServer | None = None
-    robot: RobotSink | None = None
     labeller: Labeller | None = None
     if settings.journal is not None:
         from touchd.daemon.journal import open_journal
 
-        journal = open_journal(settings.journal)
+        sinks.append(open_journal(settings.journal))
         if settings.journal.keep_touches is not None:
             from touchd.daemon.kept.touch_store import keep_touches
 
             kept = keep_touches(settings)
+            sinks.append(kept)
     if settings.live is not None:
         if settings.live.label:
             from touchd.daemon.labels import make_labeller
@@ -108,12 +107,14 @@ def make_parts(
         from touchd.daemon.live.server import open_live_page
 
         live = open_live_page(settings, models, labeller)
+        sinks.append(live)
+    bridges = bridges_to_others(settings, models, config)
+    sinks += bridges
     if settings.robot is not None:
         from touchd.daemon.robot import link_to_robot
 
-        robot = link_to_robot(settings, emit)
-    bridges = bridges_to_others(settings, models, config)
-    return Parts(tuple(pads), journal, live, kept, robot, bridges, labeller)
+        sinks.append(link_to_robot(settings, emit))
+    return Parts(tuple(pads), tuple(sinks), live, kept, bridges, labeller)
 
 
 def bridges_to_others(

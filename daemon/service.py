@@ -6,7 +6,7 @@ import gc
 import logging
 import time
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -15,6 +15,7 @@ from touchd.daemon.config import Settings
 from touchd.daemon.events import LivePrediction
 from touchd.daemon.parts import PadChannel, make_parts
 from touchd.daemon.sinks import EventFanout, Sink
+from touchd.drivers.faults import FaultLog
 from touchd.drivers.frame import Frame, SensorState
 from touchd.drivers.queue import Signal
 
@@ -23,11 +24,8 @@ IDLE_S = 0.25
 SENSORS_STOP_S = 0.6
 DRAIN_S = 2.0
 SINKS_STOP_S = 1.2
-# How often it is logged that frames were dropped.
-DROPPED_EVERY_S = 5.0
 
 if typing.TYPE_CHECKING:
-    from touchd.daemon.systemd import Health
     from touchd.daemon.terminal.view import View
 
 log = logging.getLogger(__name__)
@@ -36,19 +34,17 @@ log = logging.getLogger(__name__)
 class Service:
     """The daemon's loop and its parts. Raises TouchdError when the settings cannot be used.
 
-    config: the file of the settings. health: what is reported to systemd, if it started the daemon.
-    events: where all of them pass through.
+    config: the file of the settings. events: where all of them pass through.
     """
 
-    def __init__(self, settings: Settings, config: Path | None = None, health: Health | None = None) -> None:
+    def __init__(self, settings: Settings, config: Path | None = None) -> None:
         self._settings = settings
-        self._health = health
         self._view: View | None = None
         self._arrived = Signal()
-        self._frames = 0
-        self._drops = DropLog()
+        self._faults = FaultLog(log)
         self.events = EventFanout()
         self._parts = make_parts(settings, self.events.emit, self._viewers, self._arrived, config)
+        self.pads = self._parts.pads
 
     def tell(self, sink: Sink) -> None:
         """Send every event to this sink too, whatever the configuration. Call it before `run`."""
@@ -60,31 +56,27 @@ class Service:
         self._view = view
         from touchd.daemon.labels import make_labeller
 
-        models = {pad.name: pad.model for pad in self._parts.pads}
+        models = {pad.name: pad.model for pad in self.pads}
         view.labeller = self._parts.labeller or make_labeller(self._settings, models, self.events.emit)
 
     def run(self, must_stop: Callable[[], bool]) -> None:
-        """Run until `must_stop` returns True; then end current touches and stop every sink."""
+        """Run until `must_stop`, asked between items, is True; then end touches and stop every sink."""
         # Exempt loaded objects from garbage collection: a full pass takes as long as an answer may.
         gc.freeze()
         self.events.sinks += self._parts.sinks
         for sink in self.events.sinks:
             sink.start()
-        for pad in self._parts.pads:
+        for pad in self.pads:
             pad.sensor.start(partial(self._frames_together, pad))
         took = False
         try:
             while not must_stop():
-                if not took and not self._arrived.wait(IDLE_S) and self._health is not None:
-                    self._health.feed()
+                if not took:
+                    self._arrived.wait(IDLE_S)
                 # Take one item of each pad in turn: a pad that floods its queue must not hold up the others.
                 took = False
-                for pad in self._parts.pads:
+                for pad in self.pads:
                     took = self._process_next(pad) or took
-                dropped = {pad.name: pad.queue.dropped for pad in self._parts.pads}
-                self._drops.update(dropped)
-                if self._health is not None:
-                    self._health.report(self.events.touches, sum(dropped.values()))
         finally:
             self._end()
 
@@ -102,24 +94,22 @@ class Service:
         ]
 
     def _end(self) -> None:
-        if self._health is not None:
-            self._health.stopping()
         until_s = time.monotonic() + SENSORS_STOP_S
-        for pad in self._parts.pads:
+        for pad in self.pads:
             pad.sensor.stop(max(0.0, until_s - time.monotonic()))
         # Process queued frames before flushing, but not for so long that an overloaded daemon is killed.
         until_s = time.monotonic() + DRAIN_S
-        for pad in self._parts.pads:
+        for pad in self.pads:
             while len(pad.queue) and time.monotonic() < until_s:
                 self._process_next(pad)
             pad.pipeline.flush()
-        left = sum(len(pad.queue) for pad in self._parts.pads)
-        totals = self._frames, self.events.touches, self._dropped() + left
+        left = sum(len(pad.queue) for pad in self.pads)
+        totals = sum(pad.frames for pad in self.pads), self.events.touches, self._dropped() + left
         log.info("%d frames, %d touches, %d frames dropped in all", *totals)
         self._stop_sinks()
 
     def _dropped(self) -> int:
-        return sum(pad.queue.dropped for pad in self._parts.pads)
+        return sum(pad.queue.dropped for pad in self.pads)
 
     def _process_next(self, pad: PadChannel) -> bool:
         """Process the oldest item in a pad's queue; return whether there was one."""
@@ -129,20 +119,28 @@ class Service:
             if self._parts.kept is not None:
                 self._parts.kept.put_frame(item, pad.name)
             pad.pipeline.on_frame(item)
-            self._frames += 1
-            if self._health is not None:
-                self._health.frame_processed(pad.name)
+            pad.frames += 1
             self._show(pad, item)
+            self._note_dropped(pad)
         elif isinstance(item, SensorState):
             pad.pipeline.on_sensor_state(item)
-            if self._health is not None:
-                self._health.pad_state(pad.name, item.state == "up")
+            pad.is_up = item.state == "up"
         return item is not None
+
+    def _note_dropped(self, pad: PadChannel) -> None:
+        """Log that a pad's full queue drops frames, or no longer."""
+        dropped = pad.queue.dropped
+        if dropped != pad.noted_dropped:
+            why = "the machine is too busy, or the pad sends too many"
+            self._faults.begin(pad.name, f"{pad.name}: frames are being dropped: {why}")
+        elif not pad.queue:
+            self._faults.end(pad.name, f"{pad.name}: no frames are dropped any more; {dropped} were")
+        pad.noted_dropped = dropped
 
     def _show(self, pad: PadChannel, frame: Frame) -> None:
         """Hand a processed frame to everything that shows or checks frames."""
         parts = self._parts
-        if self._view is not None and pad is parts.pads[0]:
+        if self._view is not None and pad is self.pads[0]:
             self._view.show_frame(frame.pressure, frame.sensor_ms)
         if parts.live is not None:
             parts.live.put_frame(frame, self._dropped(), pad.name)
@@ -150,31 +148,9 @@ class Service:
             bridge.put_frame(frame, pad.name)
 
     def _stop_sinks(self) -> None:
-        """Stop sinks within SINKS_STOP_S: the robot first, then the others, then all bridges in parallel."""
-        deadline_s = time.monotonic() + SINKS_STOP_S
-        bridges = self._parts.bridges
-        others = [sink for sink in reversed(self.events.sinks) if sink not in bridges]
-        for left, sink in zip(range(len(others), 0, -1), others, strict=True):
-            sink.stop(max(0.0, deadline_s - time.monotonic()) / (left + bool(bridges)))
-        with ThreadPoolExecutor(len(bridges) or 1) as ending:
-            for bridge in bridges:
-                ending.submit(bridge.stop, max(0.0, deadline_s - time.monotonic()))
-
-
-class DropLog:
-    """Logs every DROPPED_EVERY_S how many frames the pads' full queues have dropped."""
-
-    def __init__(self) -> None:
-        self._before: Mapping[str, int] = {}
-        self._logged_s = time.monotonic()
-
-    def update(self, dropped: Mapping[str, int]) -> None:
-        """Take how many frames of each pad were dropped so far."""
-        now_s = time.monotonic()
-        if now_s - self._logged_s < DROPPED_EVERY_S:
-            return
-        for pad, count in dropped.items():
-            if (newly := count - self._before.get(pad, 0)) > 0:
-                why = "the machine is too busy, or the pad sends too many"
-                log.warning("%s: %d frames dropped: %s", pad, newly, why)
-        self._before, self._logged_s = dropped, now_s
+        """Stop the robot first, which comes last, then the others in parallel."""
+        *others, robot = self.events.sinks
+        robot.stop(SINKS_STOP_S / 2)
+        with ThreadPoolExecutor(len(others) or 1) as ending:
+            for sink in others:
+                ending.submit(sink.stop, SINKS_STOP_S / 2)

@@ -4,8 +4,11 @@ import math
 import os
 import socket
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+
+from touchd.daemon.parts import PadChannel
+from touchd.daemon.sinks import EventFanout
 
 STATUS_EVERY_S = 5.0
 FEEDS_PER_WATCHDOG = 4
@@ -50,46 +53,51 @@ class Health:
     When a reader dies or the loop hangs, systemd restarts the daemon.
     """
 
-    def __init__(self, notifier: Notifier) -> None:
+    def __init__(self, notifier: Notifier, pads: Sequence[PadChannel], events: EventFanout) -> None:
         self._notifier = notifier
+        self._pads = pads
+        self._events = events
         # The time until which each pad counts as alive; infinite while it is known to be away.
         self._alive_until_s: dict[str, float] = {}
-        self._frames = 0
+        self._seen: dict[str, tuple[int, bool | None]] = {}
         self._reported = 0
         self._next_feed_s = 0.0 if notifier.watchdog_s else math.inf
         self._status_s = time.monotonic()
 
-    def pad_state(self, pad: str, up: bool) -> None:
-        """Note that a pad was found or is known to be away; the first call reports the daemon as ready."""
-        if not self._alive_until_s:
-            self._notifier.send(READY=1)
-        self._alive_until_s[pad] = time.monotonic() + SILENT_S if up else math.inf
-        self.feed()
+    def reporting(self, must_stop: Callable[[], bool]) -> Callable[[], bool]:
+        """Return `must_stop` for the daemon's loop, with a report each time that the loop asks."""
 
-    def frame_processed(self, pad: str) -> None:
-        """Note that a frame went through a pad's pipeline."""
-        self._alive_until_s[pad] = time.monotonic() + SILENT_S
-        self._frames += 1
-        self.feed()
+        def asked() -> bool:
+            if must_stop():
+                self._notifier.send(STOPPING=1)
+                return True
+            self.look()
+            return False
 
-    def feed(self) -> None:
-        """Feed the watchdog if every pad is alive."""
+        return asked
+
+    def look(self) -> None:
+        """Look at the pads. Once the state of one is known, the daemon is ready."""
         now_s = time.monotonic()
-        if now_s >= self._next_feed_s and self._alive_until_s and now_s < min(self._alive_until_s.values()):
+        for pad in self._pads:
+            before, self._seen[pad.name] = self._seen.get(pad.name), (pad.frames, pad.is_up)
+            if pad.is_up is None or before == (pad.frames, pad.is_up):
+                continue
+            if not self._alive_until_s:
+                self._notifier.send(READY=1)
+            self._alive_until_s[pad.name] = now_s + SILENT_S if pad.is_up else math.inf
+        if now_s >= self._next_feed_s and now_s < min(self._alive_until_s.values(), default=now_s):
             self._notifier.send(WATCHDOG=1)
             self._next_feed_s = now_s + self._notifier.watchdog_s / FEEDS_PER_WATCHDOG
+        if now_s - self._status_s >= STATUS_EVERY_S:
+            self._report(now_s)
 
-    def report(self, touches: int, dropped: int) -> None:
-        """Report the status every few seconds: frames a second, touches and dropped frames so far."""
-        now_s = time.monotonic()
-        passed_s = now_s - self._status_s
-        if passed_s < STATUS_EVERY_S:
-            return
-        rate_hz = (self._frames - self._reported) / passed_s
-        away = "".join(f", {pad} away" for pad, until_s in self._alive_until_s.items() if until_s == math.inf)
-        status = f"{rate_hz:.1f} frames/s{away}, {touches} touches, {dropped} frames dropped"
+    def _report(self, now_s: float) -> None:
+        """Report the status: frames a second, touches and dropped frames so far."""
+        frames = sum(pad.frames for pad in self._pads)
+        dropped = sum(pad.queue.dropped for pad in self._pads)
+        rate_hz = (frames - self._reported) / (now_s - self._status_s)
+        away = "".join(f", {pad.name} away" for pad in self._pads if pad.is_up is False)
+        status = f"{rate_hz:.1f} frames/s{away}, {self._events.touches} touches, {dropped} frames dropped"
         self._notifier.send(STATUS=status)
-        self._status_s, self._reported = now_s, self._frames
-
-    def stopping(self) -> None:
-        self._notifier.send(STOPPING=1)
+        self._status_s, self._reported = now_s, frames

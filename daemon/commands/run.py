@@ -8,7 +8,6 @@ import signal
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -19,9 +18,6 @@ from touchd.daemon.log import LogWriter
 from touchd.daemon.service import Service
 from touchd.daemon.sinks import LinesSink
 from touchd.daemon.tags import TagServer, changed
-
-if TYPE_CHECKING:
-    from touchd.daemon.systemd import Health
 
 # Python's thread switch interval; its default, 5 ms, is longer than an answer takes.
 SWITCH_S = 0.0005
@@ -115,7 +111,7 @@ def main(arguments: Sequence[str]) -> int:
     with ExitStack() as closing:
         signals.listen()
         closing.callback(signals.ignore)
-        service = Service(settings, found.file, _health(closing))
+        service = Service(settings, found.file)
         service.events.tags = tags
         closing.enter_context(TagServer(service.events))
         favour_latency()
@@ -145,19 +141,19 @@ def main(arguments: Sequence[str]) -> int:
         closing.callback(root.removeHandler, handler)
         root.setLevel(settings.log_level.upper())
         log.info("%s; journal: %s", found, settings.journal.file if settings.journal else "none")
-        service.run(signals.must_stop)
+        service.run(_reporting(service, signals.must_stop, closing))
     return 0
 
 
-def _health(closing: ExitStack) -> "Health | None":
-    """Return what reports to systemd, if it started this process."""
+def _reporting(service: Service, must_stop: Callable[[], bool], closing: ExitStack) -> Callable[[], bool]:
+    """Return `must_stop`, which reports to systemd each time it is asked, if that started this process."""
     if "NOTIFY_SOCKET" not in os.environ:
-        return None
+        return must_stop
     from touchd.daemon.systemd import Health, Notifier
 
     notifier = Notifier(os.environ)
     closing.callback(notifier.close)
-    return Health(notifier)
+    return Health(notifier, service.pads, service.events).reporting(must_stop)
 
 
 def _find(options: argparse.Namespace) -> Found:

@@ -8,9 +8,11 @@ import socket
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from rigs.expectations import LENGTHS, expected, outline
 from rigs.patient_port import PATIENT, playing
@@ -19,14 +21,17 @@ from rigs.robots import needs_qi
 from rigs.service_manager import Manager
 from rigs.wait import AT_ONCE_S, WITHIN_S
 
-from touchd.daemon.config import JournalSettings, SensorSettings, Settings
-from touchd.daemon.events import SensorEvent, TouchEnded
+from touchd.daemon.config import JournalSettings, PadSettings, SensorSettings, Settings
+from touchd.daemon.events import SensorEvent, TouchEnded, encode
 from touchd.daemon.kept.touches import decode
+from touchd.daemon.parts import PadChannel
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
-from touchd.daemon.service import DropLog
+from touchd.daemon.service import Service
+from touchd.daemon.sinks import LinesSink
 from touchd.daemon.systemd import Health, Notifier
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.fakes.hand import simulate
+from touchd.drivers.frame import Frame
 from touchd.drivers.recording import splice
 from touchd.drivers.robot.session import RobotSettings
 
@@ -40,10 +45,31 @@ def manager(tmp_path: Path) -> Iterator[Manager]:
     manager.close()
 
 
+@dataclass
+class Watched:
+    """Two pads as the loop leaves them, and what is told about them."""
+
+    health: Health
+    pad: PadChannel
+    arm: PadChannel
+    must_stop: Callable[[], bool]
+    asked: list[bool]
+
+    def processes(self, frames: int) -> None:
+        """Process frames of the pad, one a turn."""
+        for _ in range(frames):
+            self.pad.frames, self.pad.is_up = self.pad.frames + 1, True
+            self.must_stop()
+
+
 @pytest.fixture
-def health(manager: Manager) -> Iterator[Health]:
+def watched(manager: Manager) -> Iterator[Watched]:
     notifier = Notifier(manager.environ)
-    yield Health(notifier)
+    settings = Settings(sensors={name: PadSettings(port=f"/dev/{name}") for name in ("pad", "arm")})
+    service = Service(settings)
+    pad, arm = service.pads
+    health, asked = Health(notifier, service.pads, service.events), list[bool]()
+    yield Watched(health, pad, arm, health.reporting(lambda: bool(asked)), asked)
     notifier.close()
 
 
@@ -71,71 +97,77 @@ def test_a_watchdog_for_another_process_is_ignored() -> None:
     assert Notifier({"WATCHDOG_USEC": "1000000", "WATCHDOG_PID": str(os.getpid())}).watchdog_s == 1.0
 
 
-def test_ready_is_sent_once_the_pads_state_is_known(manager: Manager, health: Health) -> None:
-    health.feed()
+def test_ready_is_sent_once_the_pads_state_is_known(manager: Manager, watched: Watched) -> None:
+    watched.must_stop()
     assert manager.received() == []
-    health.pad_state("pad", up=False)
-    health.pad_state("pad", up=True)
+    watched.pad.is_up = False
+    watched.must_stop()
+    watched.pad.is_up = True
+    watched.must_stop()
     assert manager.received().count("READY=1") == 1
 
 
-def test_the_watchdog_is_fed_while_the_pad_is_away(manager: Manager, health: Health) -> None:
-    health.pad_state("pad", up=False)
+def test_the_manager_learns_that_the_daemon_stops(manager: Manager, watched: Watched) -> None:
+    assert not watched.must_stop()
+    watched.asked.append(True)
+    assert watched.must_stop()
+    assert manager.received() == ["STOPPING=1"]
+
+
+def test_the_watchdog_is_fed_while_the_pad_is_away(manager: Manager, watched: Watched) -> None:
+    watched.pad.is_up = False
+    watched.must_stop()
     assert "WATCHDOG=1" in manager.received()
 
 
 @pytest.mark.parametrize(("silent", "fed"), [("pad", []), ("nobody", ["WATCHDOG=1"])])
 def test_the_watchdog_starves_when_one_present_pad_is_silent(
-    manager: Manager, health: Health, monkeypatch: pytest.MonkeyPatch, silent: str, fed: list[str]
+    manager: Manager, watched: Watched, monkeypatch: pytest.MonkeyPatch, silent: str, fed: list[str]
 ) -> None:
     now_s = time.monotonic()
-    health.pad_state("pad", up=True)
-    health.pad_state("away", up=False)
+    watched.pad.is_up, watched.arm.is_up = True, False
+    watched.must_stop()
     manager.received()
     monkeypatch.setattr(time, "monotonic", lambda: now_s + 2000)
-    health.report(touches=0, dropped=0)
-    if silent == "nobody":
-        health.frame_processed("pad")
-    health.feed()
+    watched.pad.frames += silent == "nobody"
+    watched.must_stop()
     assert [line for line in manager.received() if "WATCHDOG" in line] == fed
 
 
-def test_the_watchdog_is_not_fed_more_often_than_it_needs(manager: Manager, health: Health) -> None:
-    for _ in range(1000):
-        health.frame_processed("pad")
-    assert manager.received() == ["WATCHDOG=1"]
+def test_the_watchdog_is_not_fed_more_often_than_it_needs(manager: Manager, watched: Watched) -> None:
+    watched.processes(1000)
+    assert manager.received() == ["READY=1", "WATCHDOG=1"]
 
 
-def test_the_status_shows_rate_touches_and_drops(
-    manager: Manager, health: Health, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    now_s = time.monotonic()
-    for _ in range(540):
-        health.frame_processed("pad")
-    health.pad_state("arm", up=False)
-    monkeypatch.setattr(time, "monotonic", lambda: now_s + 10)
-    health.report(touches=3, dropped=7)
-    status = manager.received()[-1]
-    assert status.startswith("STATUS=5")
-    assert status.endswith(" frames/s, arm away, 3 touches, 7 frames dropped")
-
-
-def test_each_status_and_warning_counts_from_the_one_before(
-    manager: Manager, health: Health, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+def test_each_status_counts_from_the_one_before(
+    manager: Manager, watched: Watched, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now_s = time.monotonic()
     monkeypatch.setattr(time, "monotonic", lambda: now_s)
-    drops = DropLog()
-    for passed_s, frames, dropped in ((10, 540, 7), (10, 270, 9), (10, 0, 9)):
-        for _ in range(frames):
-            health.frame_processed("pad")
+    watched.arm.is_up = False
+    watched.pad.queue.dropped, watched.arm.queue.dropped = 3, 4
+    watched.processes(1)
+    for passed_s, frames in ((10, 540), (10, 270), (10, 0)):
+        watched.pad.frames += frames
         now_s += passed_s
-        health.report(touches=0, dropped=dropped)
-        drops.update({"pad": dropped})
-    rates = [line.split()[0] for line in manager.received() if line.startswith("STATUS=")]
-    assert rates[1:] == ["STATUS=27.0", "STATUS=0.0"]
-    warned = [record.getMessage().partition(":")[2].split(":")[0] for record in caplog.records]
-    assert warned == [" 7 frames dropped", " 2 frames dropped"]
+        watched.must_stop()
+    ends = " frames/s, arm away, 0 touches, 7 frames dropped"
+    statuses = [line for line in manager.received() if line.startswith("STATUS=")]
+    assert statuses == [f"STATUS={rate}{ends}" for rate in ("54.1", "27.0", "0.0")]
+
+
+def test_dropped_frames_are_logged_until_the_queue_is_empty(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
+    service = Service(Settings(sensor=SensorSettings(port="/dev/nobody")))
+    service.tell(LinesSink("stdout", os.open(os.devnull, os.O_WRONLY), encode))
+    (pad,) = service.pads
+    rest = np.zeros((8, 8), np.uint16)
+    pad.queue.put_all(Frame(number, 18 * number, 0.018 * number, rest) for number in range(600))
+    service.run(lambda: True)
+    begun, ended, in_all = (record.message for record in caplog.records if "dropped" in record.message)
+    assert begun.startswith("pad: frames are being dropped: the machine is too busy")
+    assert ended.startswith("pad: no frames are dropped any more; 60 were")
+    assert in_all == "540 frames, 0 touches, 60 frames dropped in all"
 
 
 def needs(program: str) -> pytest.MarkDecorator:
