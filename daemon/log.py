@@ -1,8 +1,8 @@
 """The log of the daemon and its libraries: printable, limited in rate, written by its own thread."""
 
 import logging
-import threading
 import time
+from collections import Counter
 
 from touchd.daemon.sinks import LinesSink
 from touchd.drivers.errors import one_line
@@ -18,48 +18,34 @@ _TRACE = logging.Formatter()
 class LogGate(logging.Filter):
     """Makes each record printable, and limits how often one place in the code logs; debugging is not limited.
 
-    The next line of a place says how many were left out; only its first in WHILE_S has a stack trace.
+    The last line that a place may log within WHILE_S says so; only the first has a stack trace.
     """
 
     def __init__(self) -> None:
         super().__init__()
-        self._lock = threading.Lock()
-        self._places: dict[tuple[str, int], _Place] = {}
+        self._lines: Counter[tuple[str, int]] = Counter()
+        self._until_s = 0.0
 
     def filter(self, record: logging.LogRecord) -> bool:
         more = ""
         if record.levelno > logging.DEBUG:
-            with self._lock:
-                place = self._places.setdefault((record.pathname, record.lineno), _Place())
-                if not place.may_log(time.monotonic()):
-                    return False
-                if place.left_out:
-                    more, place.left_out = f" ({place.left_out} more like it were left out)", 0
-                if place.lines > 1:
-                    record.exc_info = record.exc_text = None
+            # Threads that count at once may miss a line, which does no harm.
+            if time.monotonic() >= self._until_s:
+                self._lines.clear()
+                self._until_s = time.monotonic() + WHILE_S
+            place = (record.pathname, record.lineno)
+            self._lines[place] += 1
+            if self._lines[place] > MOST_LINES:
+                return False
+            if self._lines[place] == MOST_LINES:
+                more = f" (more like it are left out for {WHILE_S:.0f} s)"
+            if self._lines[place] > 1:
+                record.exc_info = record.exc_text = None
         record.msg, record.args = one_line(record.getMessage()) + more, None
         if record.exc_info and not record.exc_text:
             lines = _TRACE.formatException(record.exc_info).split("\n")
             # Indented, so that no line of an error's text can pass for one of the log.
             record.exc_text = "\n".join(f"  {one_line(line)}" for line in lines[-MOST_TRACE_LINES:])
-        return True
-
-
-class _Place:
-    """A place in the code that logs. lines: in this WHILE_S. left_out: since the last line logged."""
-
-    def __init__(self) -> None:
-        self.lines = 0
-        self.left_out = 0
-        self._until_s = 0.0
-
-    def may_log(self, now_s: float) -> bool:
-        if now_s >= self._until_s:
-            self.lines, self._until_s = 0, now_s + WHILE_S
-        self.lines += 1
-        if self.lines > MOST_LINES:
-            self.left_out += 1
-            return False
         return True
 
 

@@ -132,7 +132,7 @@ class Service:
         dropped = pad.queue.dropped
         if dropped != pad.noted_dropped:
             why = "the machine is too busy, or the pad sends too many"
-            self._faults.begin(pad.name, f"{pad.name}: frames are being dropped: {why}")
+            self._faults.begin(pad.name, f"{pad.name}: frames dropped: {why}")
         elif not pad.queue:
             self._faults.end(pad.name, f"{pad.name}: no frames are dropped any more; {dropped} were")
         pad.noted_dropped = dropped

@@ -165,7 +165,7 @@ def test_dropped_frames_are_logged_until_the_queue_is_empty(caplog: pytest.LogCa
     pad.queue.put_all(Frame(number, 18 * number, 0.018 * number, rest) for number in range(600))
     service.run(lambda: True)
     begun, ended, in_all = (record.message for record in caplog.records if "dropped" in record.message)
-    assert begun.startswith("pad: frames are being dropped: the machine is too busy")
+    assert begun.startswith("pad: frames dropped: the machine is too busy")
     assert ended.startswith("pad: no frames are dropped any more; 60 were")
     assert in_all == "540 frames, 0 touches, 60 frames dropped in all"
 
