@@ -6,41 +6,36 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
-from typing import NamedTuple
 
 INTERRUPTED = 130
 # These run until a signal ends them; their exit code is then 0.
 UNTIL_ENDED = ("run", "demo", "replay", "fake-pad", "fake-robot")
 
+COMMANDS = {
+    "init": "finds the pad, asks for the robot, writes a configuration",
+    "run": "the daemon: reads the pad, reports touches to the robot",
+    "demo": "runs the daemon on a simulated pad, then ends",
+    "tag": "puts tags such as participant=P07 into a daemon's events",
+    "replay": "plays recordings through a fake serial port",
+    "fake-pad": "simulates a pad and prints the path of its port",
+    "fake-robot": "simulates a robot and prints every call",
+    "classify": "prints the answers to recordings, without a port",
+    "record": "guides you through making recordings",
+    "teach": "records your gestures and adapts the model, in three minutes",
+    "train": "adapts the model to recordings of your own",
+    "plot": "draws recordings, or a journal, as a picture",
+    "convert": "writes a journal or a recording as CSV or MCAP",
+    "config": "prints an example configuration, every setting explained",
+    "docs": "prints a page of the documentation",
+    "doctor": "checks pad, model, robot and service; says what to do",
+    "bench": "measures latency, processor, memory, start-up and speed",
+    "completion": "prints the script for a shell's completion",
+}
+"""What each subcommand does; its module in `commands` is imported only when it is called."""
 
-class Command(NamedTuple):
-    """A subcommand: `main(arguments)` of touchd.PLACE, imported only when called, returns the exit code."""
 
-    name: str
-    place: str
-    help: str
-
-
-COMMANDS = (
-    Command("init", "daemon.commands.init", "finds the pad, asks for the robot, writes a configuration"),
-    Command("run", "daemon.commands.run", "the daemon: reads the pad, reports touches to the robot"),
-    Command("demo", "daemon.commands.demo", "runs the daemon on a simulated pad, then ends"),
-    Command("tag", "daemon.commands.tag", "puts tags such as participant=P07 into a daemon's events"),
-    Command("replay", "daemon.commands.replay", "plays recordings through a fake serial port"),
-    Command("fake-pad", "daemon.commands.fake_pad", "simulates a pad and prints the path of its port"),
-    Command("fake-robot", "drivers.fakes.fake_robot", "simulates a robot and prints every call"),
-    Command("classify", "daemon.commands.classify", "prints the answers to recordings, without a port"),
-    Command("record", "daemon.commands.record", "guides you through making recordings"),
-    Command("teach", "daemon.commands.teach", "records your gestures and adapts the model, in three minutes"),
-    Command("train", "daemon.commands.train", "adapts the model to recordings of your own"),
-    Command("plot", "daemon.commands.plot", "draws recordings, or a journal, as a picture"),
-    Command("convert", "daemon.commands.convert", "writes a journal or a recording as CSV or MCAP"),
-    Command("config", "daemon.commands.config", "prints an example configuration, every setting explained"),
-    Command("docs", "daemon.commands.docs", "prints a page of the documentation"),
-    Command("doctor", "daemon.commands.doctor", "checks pad, model, robot and service; says what to do"),
-    Command("bench", "daemon.commands.bench", "measures latency, processor, memory, start-up and speed"),
-    Command("completion", "daemon.commands.completion", "prints the script for a shell's completion"),
-)
+def module_of(command: str) -> str:
+    return f"touchd.daemon.commands.{command.replace('-', '_')}"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -75,13 +70,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(words: Sequence[str]) -> int:
-    commands = {command.name: command for command in COMMANDS}
-    if not words or words[0] not in commands:
+    if not words or words[0] not in COMMANDS:
         from touchd.daemon.usage import answer
 
-        return answer(words, {command.name: command.help for command in COMMANDS})
+        return answer(words, COMMANDS)
     name, *rest = words
-    command = importlib.import_module(f"touchd.{commands[name].place}")
+    command = importlib.import_module(module_of(name))
     # From here on, signals raise KeyboardInterrupt, so that commands clean up; an import could swallow it.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is signal.SIG_DFL:

@@ -24,7 +24,7 @@ def printed(*arguments: str) -> str:
 def main() -> None:
     os.environ["COLUMNS"] = "80"
     sections = [("COMMANDS", printed("--help"))]
-    sections += [(command.name, printed(command.name, "--help")) for command in cli.COMMANDS]
+    sections += [(command, printed(command, "--help")) for command in cli.COMMANDS]
     page = f'.TH TOUCHD 1 "" "{printed("version").strip()}"\n.SH NAME\n'
     page += "touchd \\- social touch on a pressure pad, for a Nao robot\n"
     page += "".join(f".SH {title}\n.nf\n{text}.fi\n" for title, text in sections)

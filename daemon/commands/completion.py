@@ -22,13 +22,13 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str]) -> int:
     """Write the script; returns 0."""
-    from touchd.daemon.cli import COMMANDS
+    from touchd.daemon.cli import COMMANDS, module_of
 
     shell = parser().parse_args(arguments).shell
     whole = argparse.ArgumentParser(prog=PROGRAM)
     commands = whole.add_subparsers()
-    for command in COMMANDS:
-        own: argparse.ArgumentParser = importlib.import_module(f"touchd.{command.place}").parser()
-        commands.add_parser(command.name, parents=[own], add_help=False, help=command.help)
+    for command, what in COMMANDS.items():
+        own: argparse.ArgumentParser = importlib.import_module(module_of(command)).parser()
+        commands.add_parser(command, parents=[own], add_help=False, help=what)
     sys.stdout.write(f"{shtab.complete(whole, shell)}\n")
     return 0

@@ -48,7 +48,7 @@ def python(code: str) -> subprocess.CompletedProcess[str]:
 def test_every_command_prints_help_without_any_extra() -> None:
     done = python(
         "for command in cli.COMMANDS:\n"
-        "    try: cli.main([command.name, '--help'])\n"
+        "    try: cli.main([command, '--help'])\n"
         "    except SystemExit as ended: assert ended.code == 0\n"
     )
     assert done.returncode == 0, done.stderr

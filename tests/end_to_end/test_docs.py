@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from touchd.daemon.cli import COMMANDS
+from touchd.daemon.cli import COMMANDS, module_of
 from touchd.model.studies.__main__ import STUDIES, main
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]
-MODULES = {command.name: f"touchd.{command.place}" for command in COMMANDS}
+MODULES = {command: module_of(command) for command in COMMANDS}
 TARGETS = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
 
 

@@ -151,8 +151,8 @@ def test_the_manual_page_has_every_command(tmp_path: Path) -> None:
     shown = ran(["man", "--warnings", "-l", page], check=True)
     assert shown.stderr == ""
     for command in COMMANDS:
-        assert f"touchd {command.name} " in shown.stdout
-        assert f"usage: touchd {command.name}" in shown.stdout
+        assert f"touchd {command} " in shown.stdout
+        assert f"usage: touchd {command}" in shown.stdout
     assert str(Path(sys.executable).parent) not in shown.stdout
 
 
