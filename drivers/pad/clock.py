@@ -3,8 +3,8 @@
 A clock is taken as milliseconds until three windows of half a second show what it counts. If that agrees with
 arrival in milliseconds, microseconds or seconds, the clock is used in that unit. If it agrees with the pad's
 stated rate, it is used in milliseconds, for a recording may be played faster. Any other number is not used: a
-frame number, an index, a temperature; after half a second if it stands still from the start. The unit changes
-only after ten seconds of evidence.
+frame number, an index, a temperature; after half a second if it stands still from the start. This holds until
+the port is opened again.
 
 A frame is on time if its clock is 1 to 250 ms after that of the last accepted one (modulo 2^32, so the wrap
 after 49.7 days needs no special case). A frame that repeats the last clock is a duplicate. Any other is held:
@@ -34,9 +34,9 @@ from touchd.drivers.pad.framing import ProtocolCounts, Reading
 UNITS_MS = (1.0, 0.001, 1000.0)
 # A window's rate may be off by this share: frames come late, while quartz clocks differ by far less.
 CLOSE = 0.2
-# Windows of arrival, and how many must agree to choose a unit at first and to change it later.
+# Windows of arrival, and how many must agree.
 WINDOW_S, LEAST_FRAMES = 0.5, 5
-FIRST_WINDOWS, LATER_WINDOWS = 3, 20
+WINDOWS = 3
 # A longer gap between two frames begins a new window: the line, or the daemon, was held up.
 PAUSE_S = 0.4
 # Windows agree if their rates differ by no more than this factor; a stall or a flood makes them differ.
@@ -72,7 +72,7 @@ class FrameClock:
         self._arrivals.reset()
         self._unit_ms: float | None = UNITS_MS[0]
         self._is_chosen = False
-        self._windows: deque[_Window] = deque(maxlen=FIRST_WINDOWS)
+        self._windows: deque[_Window] = deque(maxlen=WINDOWS)
         self._window: _Window | None = None
 
     @property
@@ -91,7 +91,8 @@ class FrameClock:
         """
         if stamp is None or not math.isfinite(stamp * max(UNITS_MS)):
             return [Reading(self._arrivals.stamp_ms(host_s), host_s, pressure)]
-        self._look(stamp, host_s)
+        if not self._is_chosen:
+            self._look(stamp, host_s)
         if not self._is_chosen and stamp % 1:
             # A clock with a fraction does not count milliseconds.
             self._unit_ms = None
@@ -116,42 +117,35 @@ class FrameClock:
         self._windows.append(window)
         self._window = _Window(stamp, host_s, stamp, host_s)
         # Until it is known that a number stands still, all frames are refused as duplicates.
-        stands_still = not self._is_chosen and window.standing > STANDING_SHARE * window.frames
-        needed = LATER_WINDOWS if self._is_chosen else FIRST_WINDOWS
-        if len(self._windows) < needed and not stands_still:
-            return
-        unit_ms, note = self._chosen()
-        if note is None:
-            return
-        self.note, self._is_chosen = note, True
-        if unit_ms != self._unit_ms:
-            self._unit_ms = unit_ms
-            self._check.reset()
-        self._windows = deque(maxlen=LATER_WINDOWS)
+        if len(self._windows) == WINDOWS or window.standing > STANDING_SHARE * window.frames:
+            self._choose()
 
-    def _chosen(self) -> tuple[float | None, str | None]:
-        """Return the unit that the windows show (None: do not use the clock) and a note.
-
-        The note is None if the windows show nothing, "" if there is nothing to report.
-        """
+    def _choose(self) -> None:
+        """Use the clock in the unit that the windows show, or not at all, if they show anything."""
         rates = sorted(window.rate for window in self._windows)
         stands = any(window.standing > window.frames // 4 for window in self._windows)
         if stands or rates[-1] >= ALIKE * rates[0]:
             if all(2 * w.delivered < w.frames for w in self._windows):
-                return None, f"the pad's clock stands still or jumps{NOT_USED}"
-            return self._unit_ms, None
+                self._use(None, f"the pad's clock stands still or jumps{NOT_USED}")
+            return
         rate = rates[len(rates) // 2]
-        for unit_ms in UNITS_MS:
-            if abs(rate * unit_ms / 1000 - 1) <= CLOSE:
-                return unit_ms, ""
         step = sorted(window.step for window in self._windows)[len(self._windows) // 2]
-        if abs(1000 / step / self._rate_hz - 1) <= CLOSE:
-            return UNITS_MS[0], ""
-        if abs(step - 1) <= CLOSE:
+        units_ms = [unit_ms for unit_ms in UNITS_MS if abs(rate * unit_ms / 1000 - 1) <= CLOSE]
+        if units_ms:
+            self._use(units_ms[0])
+        elif abs(1000 / step / self._rate_hz - 1) <= CLOSE:
+            self._use(UNITS_MS[0])
+        elif abs(step - 1) <= CLOSE:
             # It numbers the frames.
-            return None, ""
-        what = "neither milliseconds, microseconds nor seconds"
-        return None, f"the pad's clock counts {rate:.0f} in a second, {what}{NOT_USED}"
+            self._use(None)
+        else:
+            what = "neither milliseconds, microseconds nor seconds"
+            self._use(None, f"the pad's clock counts {rate:.0f} in a second, {what}{NOT_USED}")
+
+    def _use(self, unit_ms: float | None, note: str = "") -> None:
+        if unit_ms != self._unit_ms:
+            self._check.reset()
+        self._unit_ms, self.note, self._is_chosen, self._window = unit_ms, note, True, None
 
 
 @dataclass
