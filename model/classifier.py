@@ -121,14 +121,10 @@ class Classifier:
         if not self.states:
             counts = counts if state is None else np.concatenate([state["counts"], counts], axis=1)
             return self.batch_probabilities(counts)[0], {"counts": counts}
-        answers, tensors = self._run(counts, state or {})
-        return answers[0], tensors
-
-    def _run(self, counts: NDArray[np.float32], state: ModelState) -> tuple[NDArray[np.float64], ModelState]:
         # Plain arrays: wrapping ONNX Runtime's own values takes a quarter of a step's time.
         names = ["probabilities", *(f"next_{name}" for name in self.states)]
-        answers, *after = self.session.run(names, {"counts": counts, **state})
-        return np.asarray(answers, dtype=np.float64), dict(zip(self.states, after, strict=True))
+        answers, *after = self.session.run(names, {"counts": counts, **(state or {})})
+        return np.asarray(answers[0], dtype=np.float64), dict(zip(self.states, after, strict=True))
 
     def _checked(self, windows: NDArray[np.generic]) -> NDArray[np.float32]:
         if windows.ndim != 4 or windows.shape[2:] != (ROWS, COLUMNS):

@@ -46,11 +46,11 @@ def _mqtt_bridges(section: MqttSettings, gestures: Mapping[str, Sequence[str]]) 
 
 def _clearings(section: MqttSettings | None, pads: Iterable[str], state: Path, config: Path) -> list[Bridge]:
     """Remember what the section retains; return what clears the topics that former ones left, by broker."""
-    from touchd.daemon.bridges.retained import OnBroker, Retained
+    from touchd.daemon.bridges.retained import OnBroker, Retained, topics_of
 
     present = None
     if section is not None:
-        topics = tuple(topic for pad in pads for topic in section.retained_topics(pad))
+        topics = tuple(topic for pad in pads for topic in topics_of(section, pad))
         present = OnBroker(section, topics)
     retained = Retained(state, config, present)
     clearings: list[Bridge] = []

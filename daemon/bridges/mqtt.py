@@ -25,7 +25,8 @@ from touchd.daemon.bridges.bridge import (
     ConnectedBridge,
     arrival_s,
 )
-from touchd.daemon.bridges.settings import MqttSettings, entity_of
+from touchd.daemon.bridges.retained import entity_of, topics_of
+from touchd.daemon.bridges.settings import MqttSettings
 from touchd.daemon.events import UNCERTAIN, Event, SensorEvent, encode, kind_of, timestamp
 from touchd.drivers.errors import written_out
 from touchd.drivers.frame import Frame
@@ -160,7 +161,7 @@ class MqttBridge(BrokerConnection):
     def __init__(self, settings: MqttSettings, pad: str, labels: Sequence[str] = ()) -> None:
         self._labels = labels
         self._topic = f"{settings.topic}/{pad}"
-        self._state_topic, *announced = settings.retained_topics(pad)
+        self._state_topic, *announced = topics_of(settings, pad)
         # None if nothing is announced.
         self._announcement_topic = next(iter(announced), None)
         self._state = "down"

@@ -24,6 +24,19 @@ log = logging.getLogger(__name__)
 MOST_TOPICS, MOST_BROKERS = 256, 16
 
 
+def topics_of(settings: MqttSettings, pad: str) -> list[str]:
+    """Return the topics of a pad's retained messages: its state and, if announced, its announcement."""
+    topic = f"{settings.topic}/{pad}"
+    if settings.discovery is None:
+        return [f"{topic}/state"]
+    return [f"{topic}/state", f"{settings.discovery}/event/{entity_of(topic)}/config"]
+
+
+def entity_of(topic: str) -> str:
+    """Return the name in Home Assistant of what has this topic."""
+    return topic.replace("/", "_")
+
+
 class OnBroker(msgspec.Struct, frozen=True):
     """Topics that have retained messages on a broker."""
 

@@ -38,18 +38,6 @@ class MqttSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         if self.password_file is not None and self.user is None:
             raise ValueError("password_file is set without user; set user")
 
-    def retained_topics(self, pad: str) -> list[str]:
-        """Return the topics of a pad's retained messages: its state and, if announced, its announcement."""
-        topic = f"{self.topic}/{pad}"
-        if self.discovery is None:
-            return [f"{topic}/state"]
-        return [f"{topic}/state", f"{self.discovery}/event/{entity_of(topic)}/config"]
-
-
-def entity_of(topic: str) -> str:
-    """Return the name in Home Assistant of what has this topic."""
-    return topic.replace("/", "_")
-
 
 class LslSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Streams of the Lab Streaming Layer: NAME-PAD-markers and NAME-PAD-pressure."""

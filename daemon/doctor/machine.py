@@ -20,6 +20,7 @@ from touchd.drivers.frame import COLUMNS, ROWS
 from touchd.drivers.installed import program_name
 from touchd.drivers.robot.link import read_login
 from touchd.drivers.robot.login import PORTS as ROBOT_PORTS
+from touchd.drivers.robot.login import without_password
 from touchd.drivers.robot.session import (
     QiSession,
     RobotError,
@@ -27,7 +28,6 @@ from touchd.drivers.robot.session import (
     RobotLost,
     RobotRefused,
     RobotSettings,
-    without_password,
 )
 from touchd.model.classifier import ModelError
 

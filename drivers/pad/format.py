@@ -194,15 +194,11 @@ def layout_of(described: PadFormat) -> Layout:
 def _resampling(side: int, crop: int, wanted: int) -> Grid:
     """Return (wanted, side): the share of each line of cells in each line of taxels."""
     left = side - 2 * crop
-    shares = np.zeros((wanted, side))
-    for line in range(wanted):
-        if left >= wanted:
-            start, stop = line * left / wanted, (line + 1) * left / wanted
-            cells = np.arange(left)
-            overlap = np.minimum(stop, cells + 1) - np.maximum(start, cells)
-            shares[line, crop : crop + left] = np.maximum(overlap, 0) * wanted / left
-        else:
-            at = min(max((line + 0.5) * left / wanted - 0.5, 0), left - 1)
-            below = min(int(at), left - 2)
-            shares[line, crop + below : crop + below + 2] = 1 - (at - below), at - below
-    return shares.astype(np.float32)
+    edges, cells = np.arange(wanted + 1) * left / wanted, np.eye(left)
+    if left >= wanted:
+        up_to = [np.interp(edges, np.arange(left + 1), np.cumsum([0, *cell])) for cell in cells]
+        shares = np.diff(up_to) * wanted / left
+    else:
+        centres = (edges[1:] + edges[:-1] - 1) / 2
+        shares = np.array([np.interp(centres, np.arange(left), cell) for cell in cells])
+    return np.pad(shares.T, ((0, 0), (crop, crop))).astype(np.float32)

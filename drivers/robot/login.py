@@ -11,13 +11,18 @@ import stat
 from contextlib import suppress
 
 from touchd.drivers.errors import written_out
-from touchd.drivers.robot.session import Login, RobotError, RobotSettings, without_password
+from touchd.drivers.robot.session import Login, RobotError, RobotSettings
 
 log = logging.getLogger(__name__)
 
 MAX_TOKEN_BYTES = 4096
 # On which NAOqi listens: up to 2.8, and 2.9.
 PORTS = {"tcp": 9559, "tcps": 9503}
+
+
+def without_password(address: str) -> str:
+    """Return an address that may be shown: what is before an @ may be a password."""
+    return re.sub(r"//.*@", "//***@", address)
 
 
 def wrong_address(url: str) -> RobotError:

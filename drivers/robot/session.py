@@ -80,11 +80,6 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
             )
 
 
-def without_password(address: str) -> str:
-    """Return an address that may be shown: what is before an @ may be a password."""
-    return re.sub(r"//.*@", "//***@", address)
-
-
 class RobotLost(Exception):  # noqa: N818 - says what happened; it is handled, never shown as an error
     """The robot is gone or answers too late (a call may still run there); only a new session helps."""
 
