@@ -31,7 +31,7 @@ Seconds = Annotated[float, msgspec.Meta(ge=0, le=3600)]
 
 
 class Leds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Fade a group of lights to a colour. color: a name of COLORS or "#rrggbb". fade_s: seconds it takes."""
+    """Fade a group of lights to a colour. color: a name of COLORS or "#rrggbb"."""
 
     color: str
     group: Name = "FaceLeds"
@@ -50,9 +50,8 @@ class Leds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 class Action(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """One thing the robot does: exactly one of these is set.
 
-    say: speak. animated_say: speak and move along. Both may hold {gesture} (the model's label), {name} and
-    {phrase} (see `config.Words`), and {confidence} (whole percent).
-    behavior: an installed behaviour, run to its end. leds: lights.
+    say and animated_say may hold {gesture} (the model's label), {name} and {phrase} (see `config.Words`), and
+    {confidence} (whole percent).
     """
 
     say: Speech | None = None
@@ -73,17 +72,15 @@ class Action(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class ActionRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """When the robot carries out which actions.
+    """When the robot carries out which actions, in order.
 
-    do: the actions, in order.
-    gestures: the answers that this is for; empty means any gesture, but "uncertain" must be named.
-    stages: the stages that this is for, whether the answer is told at that stage or was told before.
-    Empty means any stage at which the answer is news: the first of its touch, or another than the last.
-    Either way, a rule fires once per answer and touch: with [final, released], once on the settled answer.
+    gestures: empty means any gesture, but "uncertain" must be named.
+    stages: whether the answer is told at that stage or was told before. Empty means any stage at which the
+    answer is news: the first of its touch, or another than the last. Either way, a rule fires once per answer
+    and touch: with [final, released], once on the settled answer.
     changed: only for an answer that replaces another one of the same touch. Such an answer triggers the rules
     with changed: true if any fits, and only otherwise those without.
-    above, below: only for a touch whose measures are at least these, or less than these (docs/events.md).
-    refractory_s: pause after the rule fired, in seconds.
+    above, below: only for a touch whose measures are at least these, or less than these.
     """
 
     do: Annotated[tuple[Action, ...], msgspec.Meta(min_length=1, max_length=16)]

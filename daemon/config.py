@@ -1,4 +1,7 @@
-"""Reads a YAML file into typed settings; a mistake in it is reported in one line."""
+"""Reads a YAML file into typed settings; a mistake in it is reported in one line.
+
+touchd.example.yaml explains every setting, docs/pads.md the format of a pad.
+"""
 
 import errno
 import os
@@ -57,14 +60,7 @@ def config_errors(prefix: str = "") -> Iterator[None]:
 
 
 class SensorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The pad and the line it is on.
-
-    port: a device, a pty, tcp://host:port, udp://address:port to listen at, or any address that pyserial's
-    `serial_for_url` takes. baud: bits per second.
-    format: what the pad sends: the name of a preset, or a description; see docs/pads.md.
-    rows, columns, crop, invert, turn, mirror: override those of the format.
-    size_mm: height and width of the 8x8 taxels. With it, events give lengths in mm, not in taxels alone.
-    """
+    """The pad and the line it is on. rows to mirror override those of the format."""
 
     port: Annotated[str, msgspec.Meta(min_length=1)] = DEFAULT_PORT
     baud: Annotated[int, msgspec.Meta(ge=1200, le=4_000_000)] = 512_000
@@ -111,12 +107,9 @@ class PadSettings(SensorSettings, frozen=True, kw_only=True, forbid_unknown_fiel
 
 
 class JournalSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The file of events, one JSON object a line. It takes at most max_mb * (keep + 1) megabytes.
+    """The file of events, one JSON object a line.
 
-    path: null is events.jsonl in the service's state folder, or the user's if there is no service.
     max_mb: size at which a new file is begun. keep: number of older files; path.1 is the newest.
-    keep_touches: number of latest touches whose frames are kept in path.touches/, at most a minute of each;
-    None keeps none.
     """
 
     path: str | None = None
@@ -136,11 +129,7 @@ class JournalSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
 
 
 class LiveSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where the live page is served.
-
-    host: 127.0.0.1 is this computer alone; 0.0.0.0 is everyone who can reach it. port: 0 is any that is free.
-    label: whether viewers on this computer may say what a touch was.
-    """
+    """Where the live page is served. port: 0 is any that is free."""
 
     host: Annotated[str, msgspec.Meta(min_length=1)] = "127.0.0.1"
     port: Annotated[int, msgspec.Meta(ge=0, le=65535)] = 8054
@@ -155,11 +144,7 @@ class Words(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """All settings of `touchd run`. model: an ONNX file, null for the one that ships with touchd.
-
-    sensor: the only pad. sensors: instead of it, several pads by their names. language: of gesture names on
-    robot, page and terminal. words: a gesture's name and phrase, replacing the shipped ones.
-    """
+    """All settings of `touchd run`. sensor: the only pad. sensors: instead of it, several by their names."""
 
     sensor: SensorSettings = SensorSettings()
     sensors: dict[str, PadSettings] = {}

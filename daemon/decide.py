@@ -42,19 +42,10 @@ def sure_above(confidence: float, frames: int) -> float:
 
 
 class DecisionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One scene: which gestures can occur, when to answer, and how sure to be.
+    """One scene: which gestures can occur, when to answer, and how sure to be; see touchd.example.yaml.
 
-    The defaults of when to answer and how sure to be were measured: docs/decision.md.
-    gestures: those that can occur; empty means all the model knows. "notouch" always can; do not list it.
-    answer_at_frames: length of the touch when early, revised and final answer are due (54 a second).
-    early: answer at the early mark, or before it as soon as the answer is sure. sure: see SURE.
-    speak_above: calibrated confidence from which the robot is told before the final answer.
-    final_above: the same for the final answer; None: 0, or 0.6 on a pad whose format is not fabric-grid's.
-    released_above: the same for a shorter touch that has ended; None: RELEASED_ABOVE, or speak_above on a pad
-    whose format is not fabric-grid's.
-    ongoing: whether a change of gesture after the final answer is told.
-    revise_margin: a told answer is replaced only by a gesture that is more probable by this much.
-    stale_s: an answer about frames older than this is not told: a late reaction is worse than none.
+    The defaults were measured: docs/decision.md. "notouch" can always occur; do not list it. final_above and
+    released_above: None is 0 and RELEASED_ABOVE, and more on a pad of another kind (`Settings.pipeline`).
     """
 
     gestures: tuple[str, ...] = ()

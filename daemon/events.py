@@ -1,4 +1,4 @@
-"""The daemon's events: one JSON object a line, on stdout and in the journal."""
+"""The daemon's events, one JSON object a line, on stdout and in the journal: see docs/events.md."""
 
 from datetime import datetime, timezone
 from typing import Annotated, Literal, TypeAlias
@@ -23,13 +23,7 @@ MAX_REASON_BYTES = 400
 
 
 class TouchBegan(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="touch_began"):
-    """A hand is on the pad.
-
-    touch: number of the touch on its pad since the daemon started, from 1. pad: the pad's name, as in every
-    event of a pad.
-    sensor_ms: the sensor's clock at the touch's first frame.
-    time: when the touch was detected (UTC); every event has its time.
-    """
+    """A hand is on the pad. touch: the number of the touch on its pad since the daemon started, from 1."""
 
     touch: Count
     time: str
@@ -39,20 +33,7 @@ class TouchBegan(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
 
 
 class Prediction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="prediction"):
-    """The answer to a touch so far.
-
-    stage: see `daemon.decide`. frames: length of the window asked about.
-    elapsed_s: from the touch's first frame to the window's last.
-    gesture, confidence: the current answer; "uncertain" at stage "uncertain".
-    probabilities: per label, renormalised over the scene's gestures; 0 for those it leaves out.
-    changed: the answer differs from the touch's previous one. told: the robot is told now.
-    degraded: frames of this touch were lost and bridged.
-    latency_ms: from the arrival of the frame that made this answer due to the answer's hand-over.
-    age_ms: from the window's last frame, by the pad's clock, to the hand-over; 0 in older journals.
-    feel: what the touch was like so far.
-    perhaps: the likeliest gesture of a touch that ends as "uncertain"; "" otherwise, and if no touch is
-    likelier.
-    """
+    """The answer to a touch so far. age_ms is 0 and feel None in older journals."""
 
     touch: Count
     stage: Stage
@@ -75,10 +56,7 @@ class Prediction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
 
 
 class LivePrediction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="live_prediction"):
-    """The model's current probabilities for a touch, for viewers; not an event.
-
-    frames: length of the touch so far. probabilities: as in `Prediction`.
-    """
+    """The model's current probabilities for a touch of this length in frames, for viewers; not an event."""
 
     touch: Count
     frames: Count
@@ -87,16 +65,7 @@ class LivePrediction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type"
 
 
 class TouchEnded(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="touch_ended"):
-    """A touch has ended: the hand is gone, or can no longer be followed.
-
-    gesture: what the robot was last told, else "uncertain".
-    frames: from first to last contact, on the 54 Hz grid.
-    reason: "released"; "settled" (a load that stopped changing is taken for the pad's new rest); "longest"
-    (it went on for longer than a touch may); "gap" (more frames lost than can be bridged, or the sensor
-    restarted); "sensor" (the sensor is gone); "stopped" (the stream ended).
-    sensor_ms: the sensor's clock at the last contact. feel: what the touch was like. Both are None in older
-    journals.
-    """
+    """A touch has ended. sensor_ms and feel are None in older journals."""
 
     touch: Count
     gesture: str
@@ -110,10 +79,7 @@ class TouchEnded(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
 
 
 class SensorEvent(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="sensor"):
-    """The pad came, went, or sends frames in which not every touch is recognised ("degraded").
-
-    reason: one line for people, empty when there is nothing to add.
-    """
+    """The pad came, went, or sends frames in which not every touch is recognised ("degraded")."""
 
     state: PadState
     time: str
@@ -123,7 +89,7 @@ class SensorEvent(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", t
 
 
 class RobotEvent(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="robot"):
-    """The robot came or went. reason: one line for people, empty when there is nothing to add."""
+    """The robot came or went."""
 
     state: Literal["up", "down"]
     time: str
@@ -132,10 +98,7 @@ class RobotEvent(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
 
 
 class RobotAction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="robot_action"):
-    """The robot begins to do something about a touch.
-
-    action: its kind. what: the words that it says, the behaviour's name or the colour.
-    """
+    """The robot begins to do something about a touch."""
 
     touch: Count
     action: ActionKind
@@ -146,10 +109,7 @@ class RobotAction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", t
 
 
 class Label(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="label"):
-    """A person says what a touch was; of several labels of a touch the last holds.
-
-    touch: its number. gesture: a label of the pad's model.
-    """
+    """A person says what a touch was; of several labels of a touch the last holds."""
 
     touch: Count
     gesture: str

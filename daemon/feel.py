@@ -22,14 +22,10 @@ PLACES = np.indices((ROWS, COLUMNS), np.float32)[::-1].reshape(2, -1)
 
 
 class Feel(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """Measures of a touch: counts above rest; places of the pressure centroid, (0, 0) at the top left.
+    """Measures of a touch, which docs/events.md explains.
 
-    duration_s: from first to last contact. peak: of any taxel. mean: of the touched taxels.
-    area: taxels touched at once, on average. row, column: mean place.
-    path: length of the centroid's path during contact, in taxels. down, right: displacement, in taxels.
-    direction_deg: of the displacement, 0 to the right, 90 up; None if it is shorter than a taxel.
-    rhythm_hz: beats a second; 0 with fewer than two beats.
-    path_mm, stroke_mm: length of the path, and distance from start to end, if the pad's size is known.
+    direction_deg is None if the displacement is shorter than a taxel, path_mm and stroke_mm if the pad's size
+    is not known.
     """
 
     duration_s: float

@@ -1,4 +1,4 @@
-"""The sections of the configuration for bridges to other systems."""
+"""The sections of the configuration for bridges to other systems; touchd.example.yaml explains them."""
 
 from typing import Annotated
 from urllib.parse import urlsplit
@@ -14,13 +14,7 @@ MEMORY_FILES = "mqtt-*.json"
 
 
 class MqttSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """An MQTT broker. A pad's topics are TOPIC/PAD/event, TOPIC/PAD/state and TOPIC/PAD/pressure.
-
-    ca_file: of the authority that signed the broker's certificate; None: the system's. Needs tls.
-    password_file: holds the password of `user`.
-    pressure_hz: frames a second to publish at most; None publishes none.
-    discovery: Home Assistant's discovery prefix, usually homeassistant; None announces nothing.
-    """
+    """An MQTT broker. A pad's topics are TOPIC/PAD/event, TOPIC/PAD/state and TOPIC/PAD/pressure."""
 
     host: Annotated[str, msgspec.Meta(min_length=1)] = "localhost"
     port: Port = 1883
@@ -46,10 +40,7 @@ class LslSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
 
 class Ros2Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """ROS 2 over DDS. A pad's topics are NAMESPACE/PAD/gesture, event and pressure.
-
-    domain: ROS_DOMAIN_ID of the listening nodes.
-    """
+    """ROS 2 over DDS. A pad's topics are NAMESPACE/PAD/gesture, event and pressure."""
 
     domain: Annotated[int, msgspec.Meta(ge=0, le=232)] = 0
     namespace: Namespace = "/touchd"
@@ -59,7 +50,6 @@ class RosbridgeSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     """A rosbridge server of ROS 1 or ROS 2; the topics are those of `Ros2Settings`.
 
     url: may end with ?token=..., which is never logged.
-    pressure_hz: frames a second to publish at most; None publishes none.
     """
 
     url: Annotated[str, msgspec.Meta(pattern=r"^wss?://[^\s@]+$")] = "ws://localhost:9090"

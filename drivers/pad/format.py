@@ -38,22 +38,11 @@ def _check_hex(name: str, text: str) -> None:
 
 
 class PadFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """How a pad's bytes become pressure.
+    """How a pad's bytes become pressure; docs/pads.md explains each key.
 
-    framing: "text" (numbers in lines) or "binary".
-    rows, columns: the grid as sent. Text may hold a frame in one line, or in several lines with equally many
-    numbers. skip: numbers that lead each line, or bytes between a binary frame's header (and clock) and its
-    cells, that are not cells. tail: numbers or bytes after the cells, unchecked.
-    end: text with which the last line of a frame ends, or a separate line after each frame. Without it, any
-    line with another count of numbers separates frames.
-    header, footer: bytes that begin or end a binary frame, in hex as in "aa ab ac".
-    clock: milliseconds since boot, uint32, follow the header. cell: u8, u16, u12 (two in three bytes), i16
-    or f32. order: of the bytes in clock and cells. checksum: a last byte: "values" sums the cells and the
-    clock, "sum8" and "xor8" take all bytes after the header.
-    poll: bytes that request a frame, in hex, for a pad that only answers. rate_hz: frames a second.
-    full_scale: a cell's value under the firmest press; larger values are cut to it, negative ones to 0.
-    invert: full_scale means no pressure. crop: cells left out on every side. turn: degrees to turn the pad
-    by, clockwise. mirror: left and right are swapped after that.
+    A binary frame is header, clock, skip, cells, tail or checksum, footer. A frame of text is one line of all
+    cells, or several lines with equally many numbers; skip and tail are numbers of each line. Values above
+    full_scale are cut to it, negative ones to 0.
     """
 
     framing: Literal["text", "binary"] = "binary"

@@ -60,9 +60,6 @@ class RobotLimits:
 class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Where the robot is and how to log in. The token itself is never among the settings.
 
-    url: tcp://host:9559 for NAOqi up to 2.8, tcps://host:9503 for 2.9. libqi encrypts the latter, but checks
-    no certificate. prefix: of the ALMemory events raised.
-    user, and token_file, which holds the token: for NAOqi 2.9, which requires a login.
     trust_network: libqi accepts any certificate, so whoever can step in between gets the token. The token is
     sent beyond this computer only if this says that nobody can.
     """
