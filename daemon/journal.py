@@ -55,10 +55,10 @@ class Journal:
                 self._rotate()
                 size = os.fstat(self._fd).st_size
             self._write(line + b"\n", size)
-        except JournalError as error:
-            self._lose(str(error))
-        except OSError as error:
-            self._lose(f"journal {self._path}: {error.strerror}")
+        except (JournalError, OSError) as error:
+            self.lost += 1
+            cause = f"journal {self._path}: {error.strerror}" if isinstance(error, OSError) else str(error)
+            self._faults.begin("lost", f"{cause}; events cannot be saved", cause=cause)
         else:
             self._faults.end("lost", f"journal {self._path}: works again; {self.lost} events were lost")
 
@@ -68,10 +68,6 @@ class Journal:
             return os.path.samestat(os.stat(self._path), os.fstat(self._fd))
         except FileNotFoundError:
             return False
-
-    def _lose(self, why: str) -> None:
-        self.lost += 1
-        self._faults.begin("lost", f"{why}; events cannot be saved", cause=why)
 
     def close(self) -> None:
         """Close the file; further lines are lost."""

@@ -12,7 +12,7 @@ from touchd.drivers.frame import Frame, SensorState
 from touchd.drivers.pad.arrived import why_no_frame
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import Line, at_baud, open_port, read_waiting, reads_all
-from touchd.drivers.pad.why_not import SensorError, shared_by
+from touchd.drivers.pad.why_not import SensorError, programs_at, shared
 from touchd.drivers.queue import DroppingQueue, Signal
 
 log = logging.getLogger(__name__)
@@ -82,7 +82,6 @@ class Sensor:
         self._is_up = False
         self._is_shared = False
         self._silent_openings = 0
-        self._frames_together: Callable[[], int] = lambda: 1
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="touchd-sensor", daemon=True)
 
@@ -119,8 +118,8 @@ class Sensor:
             begun_s = time.monotonic()
             try:
                 # Opening restarts an Arduino, so wait for the other program to leave first.
-                if self._is_shared and (error := shared_by(self._port)):
-                    raise error
+                if self._is_shared and programs_at(self._port):
+                    raise shared(self._port)
                 self._is_shared = False
                 with open_port(self._port, self._baud) as opened:
                     self._read(opened)
@@ -162,7 +161,9 @@ class Sensor:
                     is_dated = self.parser.clock.dates_frames and len(data) < MOST_UNHURRIED_BYTES
                     if can_wait and is_dated and (together := self._frames_together()) > 1:
                         time.sleep(FRAME_S * min(together, 2 * frames))
-                self._rest_from(len(data), now_s)
+                if len(data) >= FLOOD_BYTES:
+                    # Leave the processor to others.
+                    self._stop.wait(min(FLOOD_REST * (time.monotonic() - now_s), LONGEST_REST_S))
             if now_s - byte_s > self._reopen_after_s or now_s - frame_s > self._frameless_s:
                 return
             if now_s - max(frame_s, reported_s) > self._silence_s:
@@ -179,11 +180,6 @@ class Sensor:
         if frames:
             self._queue.put_all(frames)
         return len(frames)
-
-    def _rest_from(self, count: int, begun_s: float) -> None:
-        """Leave the processor to others after a read of very many bytes, which began at `begun_s`."""
-        if count >= FLOOD_BYTES:
-            self._stop.wait(min(FLOOD_REST * (time.monotonic() - begun_s), LONGEST_REST_S))
 
     def _report_no_frames(self, recent: bytes, *, is_silent: bool) -> None:
         """Report that no frames come, and what comes instead."""

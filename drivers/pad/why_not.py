@@ -81,15 +81,9 @@ def _closed_at_once(port: str, sent: bytes) -> SensorError:
     return SensorError("busy", f"{port} took the connection and {what}: {advice}")
 
 
-def shared_by(port: str) -> SensorError | None:
-    """Return an error that names the programs that have a serial port open too, or None if none is seen."""
-    programs = "" if "://" in port else programs_at(port)
-    return shared(port, programs) if programs else None
-
-
-def shared(port: str, programs: str = "") -> SensorError:
-    """Return an error that says that other programs take bytes of a port."""
-    who = programs or f"fuser {port} shows which"
+def shared(port: str) -> SensorError:
+    """Return an error that says that another program takes bytes of a port, and which, if it can be seen."""
+    who = programs_at(port) or f"fuser {port} shows which"
     return SensorError("shared", f"{port}: another program reads it too, and takes bytes ({who}); end it")
 
 
