@@ -95,22 +95,18 @@ class PadMonitor:
 
     def on_sensor(self, state: SensorState) -> SensorState | None:
         """Take what the reader reports: that frames come, or after each attempt that none do."""
+        advice = "leave the pad alone for half a second, while its rest is measured"
         if state.state == "down":
-            is_news = self._faults.begin("down", state.reason, cause=state.cause)
-            if self._state is None or self._state.state != "down":
-                self._gaps, self._rest = _Gaps(), _Rest()
-                for kind in ("gaps", "noise", "loose wire"):
-                    self._faults.end(kind)
-                    self._lasting.pop(kind, None)
+            if not self._faults.begin("down", state.reason, cause=state.cause):
+                return None
+            self._gaps, self._rest = _Gaps(), _Rest()
+            for kind in ("gaps", "noise", "loose wire"):
+                self._faults.end(kind)
+                self._lasting.pop(kind, None)
+        elif self._state is None:
+            log.info("%s%s; %s", self._prefix, state.reason, advice)
         else:
-            is_news = self._state is None or self._state.state == "down"
-            advice = "leave the pad alone for half a second, while its rest is measured"
-            if self._state is None:
-                log.info("%s%s; %s", self._prefix, state.reason, advice)
-            else:
-                self._faults.end("down", f"{state.reason} again; {advice}")
-        if not is_news:
-            return None
+            self._faults.end("down", f"{state.reason} again; {advice}")
         self._state = state
         return state
 
@@ -218,7 +214,15 @@ class _LineFaults:
     def update(self, now_s: float) -> None:
         """Compare the counts every COMPARE_S of arrival; look at the clock and for restarts each time."""
         self._note("clock", self._parser.clock.note)
-        self._count_restarts(now_s)
+        if self._parser.counts.restarts != self._restarts:
+            self._restarts = self._parser.counts.restarts
+            self._restarts_s.append(now_s)
+        is_often = len(self._restarts_s) == OFTEN_RESTARTS and now_s - self._restarts_s[0] <= OFTEN_S
+        often = (
+            f"the pad restarted {OFTEN_RESTARTS} times in a minute, which may cut touches; is its supply too "
+            "weak, or does its firmware crash?"
+        )
+        self._note("restarts", often if is_often else "")
         passed_s = now_s - self._compared_s
         if passed_s < COMPARE_S:
             return
@@ -239,18 +243,6 @@ class _LineFaults:
         above = f"values above full_scale {self._parser.format.full_scale} are cut to it"
         clipped = f"{above}; if firm presses do that, set a larger one in sensor.format"
         self._note("full scale", clipped if counts.clipped - before.clipped > MANY_SHARE * intact else "")
-
-    def _count_restarts(self, now_s: float) -> None:
-        if self._parser.counts.restarts != self._restarts:
-            self._restarts = self._parser.counts.restarts
-            self._restarts_s.append(now_s)
-            log.debug("%s: the pad restarted", self._where)
-        is_often = len(self._restarts_s) == OFTEN_RESTARTS and now_s - self._restarts_s[0] <= OFTEN_S
-        often = (
-            f"the pad restarted {OFTEN_RESTARTS} times in a minute, which may cut touches; is its supply too "
-            "weak, or does its firmware crash?"
-        )
-        self._note("restarts", often if is_often else "")
 
     def _note(self, kind: str, what: str) -> None:
         """Note a fault, or that there is none of this kind."""
@@ -358,14 +350,10 @@ class TaxelFaults:
 
     def _follow(self, found: Mapping[str, str]) -> None:
         """Update `faults` with what has begun or ended, and stayed so for SETTLE_S."""
-        changing = sorted(found.keys() ^ self.faults.keys())
+        changing = found.keys() ^ self.faults.keys()
         self._changing_since_s = {kind: self._changing_since_s.get(kind, self._clock_s) for kind in changing}
         for kind, since_s in self._changing_since_s.items():
-            if self._clock_s - since_s < SETTLE_S:
-                continue
-            if kind in self.faults:
-                del self.faults[kind]
-            else:
+            if self._clock_s - since_s >= SETTLE_S and self.faults.pop(kind, None) is None:
                 self.faults[kind] = found[kind]
 
 
