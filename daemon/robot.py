@@ -42,7 +42,7 @@ class RobotSink:
         """Send a told prediction to the robot, react to any; returns at once. Call it from one thread."""
         if isinstance(event, Prediction):
             if event.told:
-                self._link.publish(told_of(event, next(self._numbers)))
+                self._link.put(told_of(event, next(self._numbers)))
             self._react(event)
         elif isinstance(event, SensorEvent):
             self._link.set_status(event.state, event.pad)

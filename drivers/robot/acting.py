@@ -46,7 +46,6 @@ class ActWorker(Worker[Sequence[Act]]):
     """Carries acts out, one after the other, each to its end."""
 
     def __init__(self, open_session: Callable[[threading.Event], RobotSession], limits: RobotLimits) -> None:
-        # Pass no on_state: the worker that raises events reports whether the robot is there.
         super().__init__("touchd-robot-actions", open_session, limits)
 
     def handle(self, session: RobotSession, item: Sequence[Act]) -> None:

@@ -6,14 +6,13 @@ The daemon never waits for the robot, whether it is away, hangs or refuses.
 import atexit
 import logging
 import re
-import threading
 import time
 import typing
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
+from functools import partial
 from typing import NamedTuple
 
-from touchd.drivers.faults import FaultLog
 from touchd.drivers.frame import DEFAULT_PAD
 from touchd.drivers.robot.session import (
     Login,
@@ -45,13 +44,17 @@ class Told(NamedTuple):
     detail: list[object]
 
 
-class RobotLink:
+class RobotLink(Worker[Told]):
     """Sends answers to a robot and has it act.
 
-    Two workers, each with its own session: one raises events; the other, only if it `acts`, has the robot
-    speak, move and light up, which takes seconds and must not delay an event.
+    Raises PREFIX/Detail and PREFIX/Gesture for each answer that is put, and PREFIX/Status when it changes. A
+    pad with a name has its own, PREFIX/NAME/Gesture and so on. The Gesture is a plain string that is removed
+    from the robot's memory after SHOWN_S, as the robot's own ALTactileGesture is. The Detail is raised first,
+    so that a program that wakes on the Gesture finds the Detail that belongs to it.
+    Only if it `acts`, a second worker with its own session has the robot speak, move and light up, which
+    takes seconds and must not delay an event.
     settings: checked here; raises RobotError with one line when the user must change something.
-    on_state: called from a worker's thread when the robot comes ("up", "") or goes ("down", why).
+    on_state: called from the link's thread when the robot comes ("up", "") or goes ("down", why).
     open_session: how to reach the robot; real qi by default.
     pads: the names of those whose answers are sent. acts: whether `act` will be called.
     """
@@ -59,40 +62,39 @@ class RobotLink:
     def __init__(
         self,
         settings: RobotSettings,
-        on_state: Callable[[LinkState, str], None] | None = None,
+        on_state: Callable[[LinkState, str], None] = lambda *_: None,
         open_session: OpenSession | None = None,
         *,
         pads: Iterable[str] = (DEFAULT_PAD,),
         acts: bool = False,
         limits: RobotLimits | None = None,
     ) -> None:
-        self._settings, self._login = settings, read_login(settings)
+        login, limits = read_login(settings), limits or RobotLimits()
         if open_session is None:
             load_qi()
-        self._open_session = open_session or QiSession
-        self._limits = limits or RobotLimits()
-        self._on_state = on_state or (lambda *_: None)
+        opened = partial(open_session or QiSession, settings.url, login, limits)
+        super().__init__("touchd-robot", opened, limits)
+        self._url, self._prefix, self._on_state = settings.url, settings.prefix, on_state
         self._state: LinkState | None = None
-        self._faults = FaultLog(log)
-        self._events = _EventWorker(settings.prefix, pads, self._open, self._limits, self._note_state)
+        self._remove_at_s: dict[str, float] = {}
+        self._sent_status: dict[str, str] = {}
+        # Written by another thread, read here; replacing a value is atomic.
+        self._status: dict[str, str] = dict.fromkeys(pads, "up")
         self._acts: ActWorker | None = None
-        self._workers: list[_EventWorker | ActWorker] = [self._events]
+        self._workers: list[RobotLink | ActWorker] = [self]
         if acts:
             from touchd.drivers.robot import acting
 
-            self._acts = acting.ActWorker(self._open, self._limits)
+            self._acts = acting.ActWorker(opened, limits)
             self._workers.append(self._acts)
 
     def start(self) -> None:
         """Begin to connect; returns at once, and the link keeps trying until it is stopped."""
         # A Python that exits while a thread is inside libqi crashes, which would hide why it exits.
         atexit.register(self.stop)
-        for worker in self._workers:
-            worker.start()
-
-    def publish(self, told: Told) -> None:
-        """Raise the events of an answer. Never waits; call it from one thread."""
-        self._events.put(told)
+        super().start()
+        if self._acts is not None:
+            self._acts.start()
 
     def act(self, acts: Sequence["Act"]) -> None:
         """Have the robot carry acts out in order. Never waits; call it from one thread."""
@@ -100,8 +102,9 @@ class RobotLink:
         self._acts.put(acts)
 
     def set_status(self, status: str, pad: str = DEFAULT_PAD) -> None:
-        """Send the robot a pad's state: "up", "degraded" or "down". Never waits."""
-        self._events.set_status(status, pad)
+        """Send the robot a pad's state: "up", "degraded" or "down". Never waits; call it from any thread."""
+        self._status[pad] = status
+        self._wake.set()
 
     def stop(self, timeout_s: float = 2.0) -> None:
         """Disconnect; idempotent."""
@@ -113,20 +116,16 @@ class RobotLink:
                 log.warning("the link to the robot did not end within %g s", timeout_s)
         atexit.unregister(self.stop)
 
-    def _open(self, stopping: threading.Event) -> RobotSession:
-        return self._open_session(self._settings.url, self._login, self._limits, stopping)
-
-    def _note_state(self, state: LinkState, reason: str) -> None:
+    def note_state(self, state: LinkState, reason: str) -> None:
         """Log that the robot is there, or that an attempt to reach it failed; report a change."""
-        url = self._settings.url
         if state == "down":
-            what = f"robot {url} is down ({reason}); trying until it is there"
+            what = f"robot {self._url} is down ({reason}); trying until it is there"
             # Durations in a reason differ from one attempt to the next.
             self._faults.begin("down", what, cause=re.sub(r"[\d.]+", "", reason))
         elif self._state is None:
-            log.info("robot %s is up", url)
+            log.info("robot %s is up", self._url)
         else:
-            self._faults.end("down", f"robot {url} is up again")
+            self._faults.end("down", f"robot {self._url} is up again")
         if state == self._state:
             return
         self._state = state
@@ -134,54 +133,6 @@ class RobotLink:
             self._on_state(state, reason)
         except Exception:
             log.exception("the state of the robot could not be reported")
-
-
-def read_login(settings: RobotSettings) -> Login | None:
-    """Return the login, None if no user is set; raises RobotError with one line.
-
-    No text made of the result contains the token.
-    """
-    address = re.fullmatch(r"tcps?://([^\s/@:]+):(\d{1,5})", settings.url)
-    if address is None or int(address[2]) > 65535:
-        from touchd.drivers.robot.login import wrong_address
-
-        raise wrong_address(settings.url)
-    if settings.user is None:
-        if settings.token_file:
-            raise RobotError("robot has a token but no user; set user (nao on most robots)")
-        return None
-    from touchd.drivers.robot.login import login_of
-
-    return login_of(settings, settings.user, address[1])
-
-
-class _EventWorker(Worker[Told]):
-    """Raises PREFIX/Detail and PREFIX/Gesture for each answer, and PREFIX/Status when it changes.
-
-    A pad with a name has its own, PREFIX/NAME/Gesture and so on. The Gesture is a plain string that is
-    removed from the robot's memory after SHOWN_S, as the robot's own ALTactileGesture is. The Detail
-    is raised first, so that a program that wakes on the Gesture finds the Detail that belongs to it.
-    """
-
-    def __init__(
-        self,
-        prefix: str,
-        pads: Iterable[str],
-        open_session: Callable[[threading.Event], RobotSession],
-        limits: RobotLimits,
-        on_state: Callable[[LinkState, str], None],
-    ) -> None:
-        super().__init__("touchd-robot", open_session, limits, on_state)
-        self._prefix = prefix
-        self._remove_at_s: dict[str, float] = {}
-        self._sent_status: dict[str, str] = {}
-        # Written by another thread, read here; replacing a value is atomic.
-        self._status: dict[str, str] = dict.fromkeys(pads, "up")
-
-    def set_status(self, status: str, pad: str) -> None:
-        """Send a pad's status now; call it from any thread."""
-        self._status[pad] = status
-        self._wake.set()
 
     def begin(self, session: RobotSession) -> None:
         for pad, status in self._status.items():
@@ -227,3 +178,22 @@ class _EventWorker(Worker[Told]):
 
     def _raise_event(self, session: RobotSession, event: str, value: object) -> None:
         session.call("ALMemory", "raiseEvent", event, value, limit_s=self._limits.call_s)
+
+
+def read_login(settings: RobotSettings) -> Login | None:
+    """Return the login, None if no user is set; raises RobotError with one line.
+
+    No text made of the result contains the token.
+    """
+    address = re.fullmatch(r"tcps?://([^\s/@:]+):(\d{1,5})", settings.url)
+    if address is None or int(address[2]) > 65535:
+        from touchd.drivers.robot.login import wrong_address
+
+        raise wrong_address(settings.url)
+    if settings.user is None:
+        if settings.token_file:
+            raise RobotError("robot has a token but no user; set user (nao on most robots)")
+        return None
+    from touchd.drivers.robot.login import login_of
+
+    return login_of(settings, settings.user, address[1])

@@ -29,7 +29,6 @@ class Worker(ABC, Generic[Item]):
     The thread alone uses the session. `begin`, `handle`, `tend` and `end` may raise RobotLost or
     RobotRefused.
     open_session: returns a new, unconnected session, given the event that is set once the daemon stops.
-    on_state: called after each attempt to connect and each loss, from the worker's thread.
     An item is dropped if the queue is full or it waited too long. One that was refused, or during whose call
     the robot was lost, is not repeated, since it may have been carried out.
     """
@@ -39,11 +38,9 @@ class Worker(ABC, Generic[Item]):
         name: str,
         open_session: Callable[[threading.Event], RobotSession],
         limits: RobotLimits,
-        on_state: Callable[[LinkState, str], None] = lambda *_: None,
     ) -> None:
         self._open_session = open_session
         self._limits = limits
-        self._on_state = on_state
         self._faults = FaultLog(log)
         self._wake = Signal()
         self._queue: DroppingQueue[tuple[float, Item]] = DroppingQueue(limits.capacity, filled=self._wake)
@@ -54,6 +51,9 @@ class Worker(ABC, Generic[Item]):
     @abstractmethod
     def handle(self, session: RobotSession, item: Item) -> None:
         """Do what a queued item asks for."""
+
+    def note_state(self, state: LinkState, reason: str) -> None:
+        """Note the result of an attempt to connect, or a loss; called from the worker's thread."""
 
     def begin(self, session: RobotSession) -> None:
         """Make the first calls on a new session, if any."""
@@ -104,7 +104,7 @@ class Worker(ABC, Generic[Item]):
 
     def _note(self, state: LinkState, reason: str) -> None:
         if not self._stopping.is_set():
-            self._on_state(state, reason)
+            self.note_state(state, reason)
 
     def _serve(self, session: RobotSession) -> None:
         """Send until asked to stop, then what is left; raises RobotLost when the robot is gone."""

@@ -117,7 +117,7 @@ def busy_hang(robot: Robot, link: RobotLink, states: States) -> dict[str, float]
 
     def publish() -> None:
         while not done.wait(0.02):
-            link.publish(message("rub"))
+            link.put(message("rub"))
 
     publisher = threading.Thread(target=publish)
     publisher.start()
@@ -146,7 +146,7 @@ def resume(robot: Robot, link: RobotLink) -> float:
 def flow(robot: Robot, link: RobotLink) -> float:
     """Return how long it takes until a message published from now on reaches the robot."""
     began_s = time.monotonic()
-    link.publish(message("fresh"))
+    link.put(message("fresh"))
     robot.calls.wait_for_raise(GESTURE, "fresh")
     return time.monotonic() - began_s
 

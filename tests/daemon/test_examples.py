@@ -22,7 +22,7 @@ def test_the_python_example_receives_a_stroke_and_answers() -> None:
     with Robot() as robot, linked(robot) as (link, states):
         states.wait_for("up")
         with Program(sys.executable, EXAMPLES / "react_to_touch.py", robot.url) as example:
-            link.publish(message("stroke", touch=3))
+            link.put(message("stroke", touch=3))
             assert example.stdout.readline() == "touch 3: stroke (81%, early)\n"
             wait_for(lambda: robot.calls.said() == ["That is nice."])
             example.kill()
@@ -41,7 +41,7 @@ def test_the_python_example_says_in_a_line_why_it_ends() -> None:
     with Robot() as robot, linked(robot) as (link, states):
         states.wait_for("up")
         with Program(sys.executable, EXAMPLES / "react_to_touch.py", robot.url) as example:
-            link.publish(message("pat", touch=3))
+            link.put(message("pat", touch=3))
             assert example.stdout.readline().startswith("touch 3: pat")
             example.send_signal(signal.SIGINT)
             assert example.wait(WITHIN_S) == 0

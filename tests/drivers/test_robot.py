@@ -36,7 +36,7 @@ def robot(running_robot: Robot) -> Iterator[Robot]:
 
 def test_an_answer_raises_gesture_and_detail_under_the_prefix(robot: Robot) -> None:
     with linked(robot, prefix="Pad") as (link, _):
-        link.publish(message("stroke", confidence=0.75, time_s=1_790_000_000.25, touch=7, sequence=12))
+        link.put(message("stroke", confidence=0.75, time_s=1_790_000_000.25, touch=7, sequence=12))
         robot.calls.wait_for_raise("Pad/Gesture", "stroke")
         detail = ["stroke", 0.75, [1_790_000_000, 250_000], "early", 7, 12]
         assert robot.calls.raised("Pad/Detail") == [detail]
@@ -46,7 +46,7 @@ def test_a_slow_robot_gets_every_detail_before_its_gesture() -> None:
     gestures = ["pat", "rub", "tickle"]
     with Robot(call_s=0.03) as robot, linked(robot) as (link, states):
         for touch, gesture in enumerate(gestures):
-            link.publish(message(gesture, touch))
+            link.put(message(gesture, touch))
         robot.calls.wait_for_raise(GESTURE, gestures[-1])
         raised = [call.arguments for call in robot.calls.all() if call.arguments[0] in (GESTURE, DETAIL)]
         told = [(key, value[0] if isinstance(value, list) else value) for key, value in raised]
@@ -56,9 +56,9 @@ def test_a_slow_robot_gets_every_detail_before_its_gesture() -> None:
 
 def test_a_gesture_is_removed_a_second_after_the_last(robot: Robot) -> None:
     with linked(robot) as (link, _):
-        link.publish(message("stroke", 1))
+        link.put(message("stroke", 1))
         threading.Event().wait(0.2)
-        link.publish(message("pat", 2))
+        link.put(message("pat", 2))
         removed = robot.calls.wait_for(lambda call: call.method == "removeData")
         assert removed.arguments == (GESTURE,)
         assert 0.9 < removed.time_s - robot.calls.wait_for_raise(GESTURE, "pat").time_s < 5.0
@@ -87,7 +87,7 @@ def test_the_status_follows_the_pad(robot: Robot) -> None:
 
 def test_stopping_removes_the_gesture_from_memory(robot: Robot) -> None:
     with linked(robot) as (link, _):
-        link.publish(message())
+        link.put(message())
         robot.calls.wait_for_raise(GESTURE, "stroke")
     robot.calls.wait_for(lambda call: call.method == "removeData")
 
@@ -95,7 +95,7 @@ def test_stopping_removes_the_gesture_from_memory(robot: Robot) -> None:
 def test_every_value_sent_fits_the_robots_four_bytes(robot: Robot) -> None:
     with linked(robot) as (link, _):
         # Beyond 2038, and after more touches than there will be.
-        link.publish(message("pat", confidence=0.5, time_s=2.0**33, touch=2**40, sequence=2**31))
+        link.put(message("pat", confidence=0.5, time_s=2.0**33, touch=2**40, sequence=2**31))
         robot.calls.wait_for_raise(GESTURE, "pat")
         assert robot.calls.raised(DETAIL) == [["pat", 0.5, [0, 0], "early", 0, 0]]
 
@@ -131,7 +131,7 @@ def test_speech_that_takes_long_delays_no_event() -> None:
     with Robot(say_s=60) as robot, linked(robot, acts=True) as (link, _):
         answer(link, "stroke", 1)
         robot.calls.wait_for(lambda call: call.method == "say")
-        link.publish(message("pat", 2))
+        link.put(message("pat", 2))
         robot.calls.wait_for_raise(GESTURE, "pat")
         assert len(robot.calls.said()) == 1
 

@@ -40,7 +40,7 @@ def test_a_kill_during_a_call_is_survived() -> None:
     limits = RobotLimits(call_s=20)
     with Robot(call_s=0.2) as robot, linked(robot, limits=limits) as (link, states):
         states.wait_for("up")
-        link.publish(message("stroke"))
+        link.put(message("stroke"))
         robot.calls.wait_for(lambda call: "Detail" in str(call.arguments[0]))
         robot.kill()
         states.wait_for("up", "down", timeout_s=10)
@@ -94,7 +94,7 @@ def test_no_call_reaches_a_robot_before_its_login() -> None:
         )
         link.start()
         for touch in range(500):
-            link.publish(message(touch=touch))
+            link.put(message(touch=touch))
         wait_for(lambda: connections[0] >= 3)
         link.stop()
     assert "connecting: no answer within" in states.wait_for("down")
@@ -118,7 +118,7 @@ def test_stale_messages_are_dropped_and_fresh_ones_sent() -> None:
     with Robot() as robot:
         robot.kill()
         with linked(robot, limits=limits) as (link, states):
-            link.publish(message("stale"))
+            link.put(message("stale"))
             assert "refused" in states.wait_for("down")
             time.sleep(0.6)
             robot.start()
@@ -273,7 +273,7 @@ def test_a_failing_listener_does_not_end_the_link(caplog: pytest.LogCaptureFixtu
     with StubRobot(calls.add) as robot:
         link = RobotLink(RobotSettings(url=robot.url), on_state=fail, open_session=robot.open_session)
         link.start()
-        link.publish(message())
+        link.put(message())
         calls.wait_for_raise(GESTURE, "stroke")
         link.stop()
     assert "ZeroDivisionError" in caplog.text

@@ -101,13 +101,13 @@ def message(
 
 def answer(link: RobotLink, gesture: str = "stroke", touch: int = 1) -> None:
     """Publish an answer, and have the robot say it."""
-    link.publish(message(gesture, touch))
+    link.put(message(gesture, touch))
     link.act([say(gesture)])
 
 
 def hears(robot: Robot, link: RobotLink, gesture: str = "pat") -> None:
     """Assert that a robot receives a gesture that is published now."""
-    link.publish(message(gesture))
+    link.put(message(gesture))
     robot.calls.wait_for_raise(GESTURE, gesture)
 
 
@@ -176,7 +176,7 @@ def reach(state: str, robot: Robot, link: RobotLink, states: States) -> None:
         states.wait_for("up", "down")
     elif state in ("hung", "hung-connect"):
         robot.hang()
-        link.publish(message())
+        link.put(message())
     if state == "hung-connect":
         states.wait_for("up", "down")
         time.sleep(0.3)
