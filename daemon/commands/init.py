@@ -34,7 +34,7 @@ from touchd.drivers.pad.port import Line, SensorError, at_baud, open_port
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.robot.session import RobotError
 from touchd.drivers.search.listen import USUAL_BAUDS, likeliest_baud
-from touchd.drivers.search.survey import Grid
+from touchd.drivers.search.search import Grid
 from touchd.drivers.whole_file import whole_file
 
 ANSWER_S = 0.5
@@ -200,7 +200,7 @@ def _describe(
         finding = find_without_asking(console.print, opened, (grid,))
     if finding.proposed is None:
         rates = f"; baud rates tried: {', '.join(map(str, tried))}" if len(tried) > 1 else ""
-        console.print(f"{where}: {finding}{rates}", style="yellow")
+        console.print(f"{where}: {finding.saw}; {finding.missing}{rates}", style="yellow")
         return None
     if can_ask():
         return turned_with_a_hand(console, opened, finding.proposed)

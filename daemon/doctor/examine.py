@@ -20,8 +20,7 @@ from touchd.daemon.doctor.values import (
     is_pressed,
 )
 from touchd.drivers.pad.protocol import parser_of
-from touchd.drivers.search.search import Finding
-from touchd.drivers.search.survey import Grid
+from touchd.drivers.search.search import Finding, Grid
 
 PRESS_S = 15.0
 # Fewer frames are too few to measure a rate.

@@ -21,8 +21,7 @@ from touchd.drivers.pad.format import LONGEST_SIDE, SHORTEST_SIDE, PadFormat
 from touchd.drivers.pad.port import Line, read_waiting
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.search.listen import Chunk, listen
-from touchd.drivers.search.search import Finding, search
-from touchd.drivers.search.survey import Grid, survey
+from touchd.drivers.search.search import Finding, Grid, search, survey
 
 # A pad of 8 frames a second sends 16 in this time; half of them are enough to see their size.
 REST_S = 2.0
@@ -76,15 +75,14 @@ def ask_grid(console: Console, opened: Line) -> Grid | None:
     seen = survey([Chunk(b"", time.monotonic()), *listen(opened, REST_S)])
     if seen is None:
         return None
-    likely, why = seen.likely or (None, "")
-    default = f" [{likely[0]}x{likely[1]}] ({why})" if likely else ""
+    default = f" [{seen.grid[0]}x{seen.grid[1]}] ({seen.why})" if seen.grid else ""
     console.print(f"Your pad sends {seen.frame}, {seen.rate_hz:.0f} frames a second.")
     grid: Grid | None = None
     while grid is None:
         console.print(f"Rows and columns?{default} ", style="cyan", end="")
         typed = sys.stdin.readline()
         try:
-            grid = likely if not typed.strip() and likely else grid_of(typed)
+            grid = seen.grid if not typed.strip() and seen.grid else grid_of(typed)
         except argparse.ArgumentTypeError as error:
             console.print(str(error), style="yellow")
             if not typed:
@@ -126,7 +124,7 @@ def find_without_asking(say: Callable[[str], None], opened: Line, grids: Sequenc
         say(f"not proven yet, go on pressing: listening for {LONGER_S:g} s more ...")
         chunks += listen(opened, LONGER_S)
         found = [search(chunks, grid) for grid in grids]
-    return max(found, key=lambda finding: (finding.proposed is not None, finding.likely is not None))
+    return max(found, key=lambda finding: (finding.proposed is not None, finding.may_come))
 
 
 def _is_again(finding: Finding, before: Finding) -> bool:

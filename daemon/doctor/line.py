@@ -100,7 +100,9 @@ def check_protocol(
     if finding.proposed is not None:
         return Check("protocol", "to do", looks, _advice_to_set(finding.proposed, sensor))
     tried = "" if is_text(data) or "://" in sensor.port else f"; baud rates tried: {_listed(USUAL_BAUDS)}"
-    return Check("protocol", "to do", f"no frame of {described} in {finding.saw}", f"{finding.advice}{tried}")
+    return Check(
+        "protocol", "to do", f"no frame of {described} in {finding.saw}", f"{finding.missing}{tried}"
+    )
 
 
 def check_format(chunks: Sequence[Chunk], sensor: SensorSettings) -> Iterator[Check]:

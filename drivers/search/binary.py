@@ -23,17 +23,13 @@ MOST_AROUND = 32
 LONGEST_HEADER, SHORT_HEADER = 8, 2
 # One frame in 65 may be damaged; the proof asks for 98 %.
 STEADY_SHARE = 0.985
-# A header may also occur among the cells by chance, this often a frame; a byte does once in 256 random bytes.
-STRAY, STRAY_A_BYTE = 0.5, 0.01
+# A header may also occur among the cells by chance: one byte does once in 256 random bytes.
+STRAY = 0.01
 # A frame's length is a distance at which the same bytes, as many as one of these, recur so often that they
 # cover this share of all. Chosen on the presets' streams; the length of the largest pad limits it.
 GRAMS, COVERED, SHORTEST_LENGTH, LONGEST_LENGTH, LENGTH_BYTES = (1, 2, 3, 4), 0.6, 17, 17_000, 400_000
 # Floats of a pad are zero or of a size between these; integers read as floats are not.
 TINY_FLOAT, HUGE_FLOAT = 1e-9, 1e9
-
-
-Table = NDArray[np.uint8]
-"""Frames of one length, (frames, twice a frame's bytes), from an arbitrary byte of it on."""
 
 
 def counting(numbers: Numbers) -> NDArray[np.bool_]:
@@ -43,10 +39,11 @@ def counting(numbers: Numbers) -> NDArray[np.bool_]:
     return counts
 
 
-def tables(data: bytes) -> Iterator[Table]:
+def tables(data: bytes) -> Iterator[NDArray[np.uint8]]:
     """Yield the frames of each length at which the same bytes recur, that of most data first.
 
-    These bytes may be as many as one of GRAMS, and are not all zero, as those of a counter may be.
+    They are (frames, twice a frame's bytes), from an arbitrary byte of a frame on. The bytes that recur are
+    as many as one of GRAMS, and not all zero, as those of a counter may be.
     """
     part = np.frombuffer(data[-LENGTH_BYTES:], np.uint8)
     found: dict[int, Cells] = {}
@@ -80,24 +77,21 @@ def placements(data: bytes, rows: int, columns: int) -> Iterator[Placement]:
         steady = np.where((table == usual).mean(axis=0) >= STEADY_SHARE, usual, 0).astype(np.uint8).tobytes()
         rises = (np.diff(table.astype(np.int16), axis=0) >= 0).all(axis=0) & (np.ptp(table, axis=0) > 0)
         for (kind, order), sent in PLAIN_CELLS.items():
-            size = rows * columns * CELL_BITS[kind] // 8
-            around = length - size
-            if not 0 < around <= MOST_AROUND or (kind, order) == ("u8", "big"):
-                continue
-            grid = {"rows": rows, "columns": columns, "cell": kind, "order": order}
-            described = replace(PadFormat(header="00", full_scale=1), **grid)
-            for end in range(length):
+            around = length - rows * columns * CELL_BITS[kind] // 8
+            for end in range(length) if 0 < around <= MOST_AROUND else ():
                 runs = re.finditer(rb"[^\0]+", steady[end : end + around])
                 run = max(runs, key=lambda run: len(run[0]), default=None)
                 if run is None:
                     continue
                 header = run[0][: SHORT_HEADER if rises[end + run.end()] else LONGEST_HEADER]
-                stray = STRAY_A_BYTE * length if len(header) == 1 else STRAY
-                is_rare = data.count(header, -LENGTH_BYTES) <= (1 + stray) * len(table)
+                is_rare = data.count(header, -LENGTH_BYTES) <= (1 + STRAY * length) * len(table)
                 values = _decoded(table[:, end + around : end + length], sent) if is_rare else None
                 if values is not None:
-                    tail, skip = run.start(), around - run.start() - len(header)
-                    yield Placement(replace(described, header=header.hex(), skip=skip, tail=tail), values)
+                    place = {"skip": around - run.start() - len(header), "tail": run.start()}
+                    grid = {"rows": rows, "columns": columns, "cell": kind, "order": order}
+                    yield Placement(
+                        replace(PadFormat(), full_scale=1, header=header.hex(), **grid, **place), values
+                    )
 
 
 def _decoded(cells: NDArray[np.uint8], kind: str) -> Numbers | None:

@@ -1,5 +1,6 @@
 """Listens to an unknown pad: at the likeliest baud rate, for a while."""
 
+import re
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -24,7 +25,6 @@ FIRST_BYTE_S = 3.0
 SAMPLE_S = 1.0
 # Single bits occur in more than half of random bytes; line noise makes some at a rate that is too high, too.
 FEW_BYTES = 0.01
-DIGITS = b"0123456789"
 # Most bytes that are kept, the latest ones: eight seconds of the largest preset take a fifth of them.
 MOST_BYTES = 1_000_000
 
@@ -64,39 +64,33 @@ def likeliest_baud(opened: Line, bauds: Sequence[int], say: Callable[[int], None
 
     say: called with each rate that is tried.
     """
-    first_byte_s = FIRST_BYTE_S
     likely: dict[int, tuple[bool, bool, bool]] = {}
     for baud in bauds:
         say(baud)
         with suppress(OSError, ValueError):
             opened.baudrate = baud
             opened.reset_input_buffer()
-            chunks = listen(opened, first_byte_s, bool)
-            chunks += listen(opened, SAMPLE_S) if chunks else []
-            data = b"".join(chunk.data for chunk in chunks)
+            chunks = listen(opened, FIRST_BYTE_S, bool)
             # If one rate yields no bytes, none will.
-            if not data and not likely:
+            if not chunks and not likely:
                 return None
-            first_byte_s = SAMPLE_S
-            likely[baud] = likelihood(data)
+            likely[baud] = likelihood(b"".join(chunk.data for chunk in chunks + listen(opened, SAMPLE_S)))
             if likely[baud][0]:
                 break
-    if not likely:
-        return None
-    best = max(likely, key=lambda baud: likely[baud])
-    opened.baudrate = best
-    opened.reset_input_buffer()
+    best = max(likely, key=lambda baud: likely[baud], default=None)
+    if best is not None:
+        opened.baudrate = best
+        opened.reset_input_buffer()
     return best
 
 
 def likelihood(data: bytes) -> tuple[bool, bool, bool]:
-    """Rate a sample: text with digits is certain; next come frames of one length, then single bits."""
-    is_printed = is_text(data) and any(digit in data for digit in DIGITS)
-    return is_printed, next(tables(data), None) is not None, has_single_bits(data)
+    """Rate a sample: text with digits is certain; next come frames of one length, then single bits.
 
-
-def has_single_bits(data: bytes) -> bool:
-    """Whether single bits occur; at twice the pad's baud rate or more, each bit is read at least twice."""
-    bits = np.frombuffer(data, dtype=np.uint8)
-    edges = (bits ^ bits >> 1) & 0x7F
-    return bool(len(data) and np.mean(edges & edges >> 1 > 0) > FEW_BYTES)
+    At twice the pad's baud rate or more, each bit is read at least twice.
+    """
+    is_printed = is_text(data) and re.search(rb"\d", data) is not None
+    values = np.frombuffer(data, dtype=np.uint8)
+    edges = (values ^ values >> 1) & 0x7F
+    has_single_bits = np.count_nonzero(edges & edges >> 1) > FEW_BYTES * len(data)
+    return is_printed, next(tables(data), None) is not None, bool(has_single_bits)

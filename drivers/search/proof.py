@@ -39,8 +39,9 @@ JUMPY = 0.5
 # Dead cells read 0 or full scale throughout; more values that never change are other numbers, such as those
 # of rows, or headers of packets that hold a part of a frame.
 FEW_STILL = 2
-# The largest values of usual converters; other scales end at these times a power of ten.
-FULL_SCALES, ROUND = (1023, 4095, 65535), (1, 2, 5, 10)
+# The full scales of whole numbers, those of usual converters; and those of others.
+WHOLE = (1023.0, 4095.0, 65535.0)
+BROKEN = tuple(each * 10.0**power for power in range(-6, 7) for each in (1, 2, 5))
 # A press must move a cell by this many counts of the model's scale: less is detected, but not recognised. At
 # rest, the third study's cells move by up to 13.
 LEAST_PRESS = 16.0
@@ -72,13 +73,12 @@ def movement(values: Numbers) -> Moved:
     steps shows nothing.
     """
     steps = np.diff(thinned(values), axis=0)
-    ordered = np.sort(steps, axis=1)
     ranks = [
-        np.searchsorted(*each, "left") + np.searchsorted(*each, "right")
-        for each in zip(ordered, steps, strict=True)
+        np.searchsorted(ordered, step, "left") + np.searchsorted(ordered, step, "right")
+        for ordered, step in zip(np.sort(steps, axis=1), steps, strict=True)
     ]
     moved = (np.array(ranks, np.float32) - steps.shape[1]) * steps.any(axis=0)
-    unit: Moved = moved / np.maximum(np.sqrt(np.square(moved).sum(axis=0)), 1e-9)
+    unit: Moved = moved / np.maximum(np.linalg.norm(moved, axis=0), 1e-9)
     return unit
 
 
@@ -102,18 +102,6 @@ def runs_to_and_fro(moved: Moved, cells: Cells) -> bool:
     return together(moved, backwards[:-1], backwards[1:]) > BACKWARDS * beside
 
 
-def is_turned(placed: Placement) -> bool:
-    """Whether the cells of a grid seem to be sent column by column: they move as those a column later do."""
-    moved, (rows, columns) = movement(placed.values), placed.cells.shape
-    return rows != columns and _is_stride(moved, rows) and not _is_stride(moved, columns)
-
-
-def _is_stride(moved: Moved, lag: int) -> bool:
-    """Whether cells at this distance move together more than those a step nearer or farther."""
-    nearer, here, farther = (float((moved[:, :-at] * moved[:, at:]).sum()) for at in (lag - 1, lag, lag + 1))
-    return here > max(nearer, farther)
-
-
 def deviations(moved: Moved, cells: Cells) -> float:
     """Return by how many standard deviations neighbours move together more than shuffled cells do."""
     shared = moved.T @ moved
@@ -126,18 +114,16 @@ def deviations(moved: Moved, cells: Cells) -> float:
 
 def objection(placed: Placement) -> str:
     """Say why a placement's cells are not a pressed pad; "" if they are proven to be one."""
-    values, described = thinned(placed.values), placed.described
-    off = values - np.quantile(values, 1 - AT_REST if described.invert else AT_REST, axis=0)
-    off *= -1 if described.invert else 1
+    described = placed.described
+    values = thinned(placed.values) * (-1 if described.invert else 1)
+    off = values - np.quantile(values, AT_REST, axis=0)
     farthest = float(off.max())
     if farthest * MAX_COUNT < LEAST_PRESS * described.full_scale:
-        moves = f"its numbers move by {farthest:.4g} of {described.full_scale:g}"
-        return f"nothing presses the pad ({moves}): press it firmly while I listen"
+        change = f"{farthest:.4g} of {described.full_scale:g}"
+        return f"nothing presses the pad (it changes by {change}): press it firmly while I listen"
     near = float(np.quantile(np.abs(values - np.median(values, axis=0)), NEAR_REST))
     if farthest <= FARTHER * near or np.maximum(-off, 0).sum() > BOTH_WAYS * np.maximum(off, 0).sum():
-        return (
-            "its numbers never rest, or move up and down: let go between presses; print pressure, not changes"
-        )
+        return "its numbers never rest, or swing: let go between presses; print pressure, not changes"
     moved = movement(placed.values)
     if deviations(moved, placed.cells) < SURE:
         return "neighbouring cells do not move together: press one place at a time, all over the pad"
@@ -147,9 +133,7 @@ def objection(placed: Placement) -> str:
         return "its numbers jump: are two pads on the line, or cells not u8, u16, i16 or f32?"
     still = values[0, np.ptp(values, axis=0) == 0]
     if described.skip + described.tail and len(set(still.tolist())) > FEW_STILL:
-        return (
-            "numbers among its cells never change: press all over the pad, and print the cells in one piece"
-        )
+        return "numbers among its cells never change: press all over the pad; print the cells in one piece"
     return ""
 
 
@@ -161,17 +145,22 @@ def _jumping(values: Numbers) -> float:
     return float((np.square(jumps) * is_against).sum() / max(np.square(steps).sum(), 1e-9))
 
 
-def scaled(placed: Placement) -> PadFormat:
-    """Return a placement's description with its full_scale and invert set."""
-    described, largest = placed.described, float(placed.values.max())
+def settled(placed: Placement) -> PadFormat:
+    """Return a placement's description with the order of its sides, full_scale and invert set."""
+    described, values = placed.described, placed.values
     top = CELL_TOP.get(described.cell, math.inf) if described.framing == "binary" else math.inf
-    if largest <= 0:
-        scale = 1.0
-    elif (placed.values == np.round(placed.values)).all():
-        usual = (each for each in (top if top < FULL_SCALES[0] else 0, *FULL_SCALES) if each >= largest)
-        scale = min(next(usual, largest), top)
-    else:
-        unit = 10.0 ** math.floor(math.log10(largest))
-        scale = next(each for each in ROUND if largest <= each * unit) * unit
-    rest = np.median(placed.values, axis=0)[np.ptp(placed.values, axis=0) > 0]
-    return replace(described, full_scale=scale, invert=bool(rest.size and np.median(rest) > scale / 2))
+    largest = float(values.max())
+    usual = WHOLE if (values == np.round(values)).all() else BROKEN
+    scale = min(next((each for each in usual if each >= largest), largest), top)
+    rest = np.median(values, axis=0)[np.ptp(values, axis=0) > 0]
+    invert = bool(rest.size and np.median(rest) > scale / 2)
+    rows, columns = placed.cells.shape[::-1] if _is_turned(placed) else placed.cells.shape
+    return replace(described, rows=rows, columns=columns, full_scale=scale, invert=invert)
+
+
+def _is_turned(placed: Placement) -> bool:
+    """Whether cells are sent column by column: they move as those one column, not one row, later do."""
+    moved, sides = movement(placed.values), placed.cells.shape
+    lags = range(max(sides) + 2)
+    shared = [float((moved[:, lag:] * moved[:, : moved.shape[1] - lag]).sum()) for lag in lags]
+    return [side for side in sides if shared[side] > max(shared[side - 1], shared[side + 1])] == [sides[0]]

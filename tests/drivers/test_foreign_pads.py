@@ -212,7 +212,8 @@ def test_without_a_grid_only_rows_and_presets_are_read() -> None:
 def test_a_slow_pad_is_refused_with_its_rate() -> None:
     values = a_hand_on(8, 8)
     chunks = [Chunk(line(each).encode(), number / 5) for number, each in enumerate(values[::4])]
-    assert search(chunks, (8, 8)).missing == "5.0 frames/s come; 8 to 500 are needed"
+    missing = search(chunks, (8, 8)).missing
+    assert missing.endswith("; 5.0 frames/s come, pausing for up to 0.2 s; 8 to 500 are needed")
     steady = [Chunk(line(each).encode(), number / 8.1) for number, each in enumerate(values[::3])]
     assert search(steady, (8, 8)).proposed is not None
 
