@@ -145,11 +145,13 @@ def as_known(frames: NDArray[np.float32], rest: NDArray[np.float32]) -> NDArray[
 
     Without this, the network calls every touch on a pad that rests at 60 counts constant.
     """
-    is_higher = (rest > KNOWN_TAXEL_COUNTS) | (rest.mean() > KNOWN_REST_COUNTS)
-    if not is_higher.any():
+    if rest.sum() > KNOWN_REST_COUNTS * rest.size:
+        higher = rest
+    elif rest.max() > KNOWN_TAXEL_COUNTS:
+        higher = np.where(rest > KNOWN_TAXEL_COUNTS, rest, 0)
+    else:
         return frames
-    higher = (rest * is_higher).reshape(frames.shape[1:])
-    above: NDArray[np.float32] = np.maximum(frames - higher, 0)
+    above: NDArray[np.float32] = np.maximum(frames - higher.reshape(frames.shape[1:]), 0)
     return above
 
 

@@ -116,7 +116,8 @@ class Ring:
 
     def window(self, stop_index: int, length: int) -> NDArray[np.float32]:
         """Return the `length` frames before stop_index as (length, 8, 8) float32 counts; see `frames`."""
-        return np.stack([frame.pressure for frame in self.frames(stop_index - length, stop_index)])
+        frames = self.frames(stop_index - length, stop_index)
+        return np.concatenate([frame.pressure for frame in frames]).reshape(length, ROWS, COLUMNS)
 
     def _restart(self, frame: Frame, pressure: NDArray[np.float32]) -> GridFrame:
         self._sensor_ms, self._clock_ms, self._pressure = frame.sensor_ms, frame.sensor_ms, pressure
