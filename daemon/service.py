@@ -8,7 +8,6 @@ import time
 import typing
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from pathlib import Path
 
 from touchd.daemon.config import Settings
@@ -67,7 +66,7 @@ class Service:
         for sink in self.events.sinks:
             sink.start()
         for pad in self.pads:
-            pad.sensor.start(partial(self._frames_together, pad))
+            pad.sensor.start()
         took = False
         try:
             while not must_stop():
@@ -122,6 +121,7 @@ class Service:
             pad.frames += 1
             self._show(pad, item)
             self._note_dropped(pad)
+            pad.sensor.frames_together = self._frames_together(pad)
         elif isinstance(item, SensorState):
             pad.pipeline.on_sensor_state(item)
             pad.is_up = item.state == "up"

@@ -152,29 +152,23 @@ class Layout:
 
     def __init__(self, described: PadFormat) -> None:
         self._format = described
-        inner = (
-            _resampling(described.rows, described.crop, ROWS),
-            _resampling(described.columns, described.crop, COLUMNS),
-        )
-        # (8, 8, cells): the share of each cell in each taxel.
-        shares = np.einsum("ij,kl->ikjl", *inner).reshape(ROWS, COLUMNS, described.cells)
-        shares = np.rot90(shares, -described.turn // 90)
-        if described.mirror:
-            shares = shares[:, ::-1]
-        self._shares: Grid = np.ascontiguousarray(shares.reshape(ROWS * COLUMNS, -1), dtype=np.float32)
-        self._scale = np.float32(MAX_COUNT / described.full_scale)
-        # (64,) the cell of each taxel, if each taxel is one cell: the shares would leave the caches from frame to
-        # frame, and take a twentieth of a millisecond to come back.
-        is_one_each = bool((self._shares.max(axis=1) == 1).all())
-        self._cells = self._shares.argmax(axis=1) if is_one_each else None
+        scale = np.float32(MAX_COUNT / described.full_scale)
+        self._rows = _resampling(described.rows, described.crop, ROWS)
+        self._columns = _resampling(described.columns, described.crop, COLUMNS).T * scale
 
     def pressure(self, values: Values) -> Counts:
         """Turn values (cells,) from 0 to full_scale into pressure (8, 8) uint16, read-only."""
-        cells = values.astype(np.float32)
-        laid = (self._shares @ cells if self._cells is None else cells[self._cells]) * self._scale
-        if self._format.invert:
+        described = self._format
+        # Two small products: one large matrix would leave the processor's caches from frame to frame.
+        cells = values.astype(np.float32).reshape(described.rows, described.columns)
+        laid = self._rows @ cells @ self._columns
+        if described.invert:
             laid = MAX_COUNT - laid
-        counts: Counts = np.rint(laid).astype(np.uint16).reshape(ROWS, COLUMNS)
+        if described.turn:
+            laid = np.rot90(laid, -described.turn // 90)
+        if described.mirror:
+            laid = laid[:, ::-1]
+        counts: Counts = np.rint(laid).astype(np.uint16, order="C")
         counts.flags.writeable = False
         return counts
 

@@ -3,7 +3,6 @@
 import logging
 import threading
 import time
-from collections.abc import Callable
 
 import serial
 
@@ -54,7 +53,7 @@ class Sensor:
     ever longer up to longest_retry_s. Without a frame for silence_s the pad is down. After reopen_after_s
     without a byte the port is reopened, which restarts an Arduino that hangs; after frameless_s without a
     frame too. A frame's host_s is when its last byte was read.
-    Of a pad with a clock, several frames are read at once while nobody needs them sooner (see `start`).
+    frames_together: how many of the next frames may be read at once, of a pad with a clock.
     parser: turns the port's bytes into frames; its counts may be read from any thread.
     """
 
@@ -82,6 +81,8 @@ class Sensor:
         self._is_up = False
         self._is_shared = False
         self._silent_openings = 0
+        # Set by the thread that takes the frames: asking it here would hold that thread up.
+        self.frames_together = 1
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="touchd-sensor", daemon=True)
 
@@ -90,12 +91,8 @@ class Sensor:
         """The port, with its baud rate where it has one."""
         return self._port + at_baud(self._port, self._baud)
 
-    def start(self, frames_together: Callable[[], int] = lambda: 1) -> None:
-        """Begin to read; returns at once.
-
-        frames_together: how many of the next frames may be read at once; called from the reader's thread.
-        """
-        self._frames_together = frames_together
+    def start(self) -> None:
+        """Begin to read; returns at once."""
         if self._baud == BOOT_BAUD and "://" not in self._port:
             log.warning(
                 "%s: closing a port at 1200 baud starts the boot loader of many boards; set the baud rate of "
@@ -159,8 +156,8 @@ class Sensor:
                     if not isinstance(opened, serial.SerialBase):
                         opened.keep_sender()
                     is_dated = self.parser.clock.dates_frames and len(data) < MOST_UNHURRIED_BYTES
-                    if can_wait and is_dated and (together := self._frames_together()) > 1:
-                        time.sleep(FRAME_S * min(together, 2 * frames))
+                    if can_wait and is_dated and self.frames_together > 1:
+                        time.sleep(FRAME_S * min(self.frames_together, 2 * frames))
                 if len(data) >= FLOOD_BYTES:
                     # Leave the processor to others.
                     self._stop.wait(min(FLOOD_REST * (time.monotonic() - now_s), LONGEST_REST_S))

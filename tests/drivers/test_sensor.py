@@ -115,7 +115,8 @@ def test_frames_that_nobody_needs_are_read_together(
     queue = FrameQueue()
     with FakePort(stream_of(200), encode) as port:
         sensor = Sensor(port.path, BAUD, parser, queue)
-        sensor.start(lambda: together)
+        sensor.frames_together = together
+        sensor.start()
         # The clock is known after a second and a half.
         frames = next_frames(queue, 160)[-40:]
         sensor.stop()
