@@ -50,29 +50,27 @@ class LogGate(logging.Filter):
 
 
 class LogWriter(logging.Handler):
-    """Writes the records that the gate lets through to a file descriptor, in its own thread."""
+    """Writes the records that the gate lets through to a file descriptor, in its own thread.
+
+    If their reader is slow, the oldest are dropped; the next line says how many.
+    """
 
     def __init__(self, fd: int) -> None:
         super().__init__()
         self.addFilter(LogGate())
-        self._lines = LogLines(fd)
+        # The sink must not log into itself.
+        unseen = logging.getLogger(f"{__name__}.unseen")
+        unseen.disabled = True
+        self._lines = LinesSink("log", fd, self._line, log=unseen)
+        self._dropped_before = 0
         self.start, self.stop = self._lines.start, self._lines.stop
 
     def emit(self, record: logging.LogRecord) -> None:
         self._lines.put(record)
 
-
-class LogLines(LinesSink[logging.LogRecord]):
-    """The lines of the log. If their reader is slow, the oldest are dropped; the next line says how many."""
-
-    def __init__(self, fd: int) -> None:
-        # The sink must not log into itself.
-        unseen = logging.getLogger(f"{__name__}.unseen")
-        unseen.disabled = True
-        super().__init__("log", fd, lambda record: LINE.format(record).encode(errors="replace"), log=unseen)
-
-    def _note_dropped(self) -> None:
-        lost, self._dropped_before = self.dropped - self._dropped_before, self.dropped
+    def _line(self, record: logging.LogRecord) -> bytes:
+        line = LINE.format(record)
+        lost, self._dropped_before = self._lines.dropped - self._dropped_before, self._lines.dropped
         if lost:
-            gap = f"{lost} lines of the log were dropped: nobody read them"
-            self.write(logging.LogRecord(__name__, logging.WARNING, "", 0, gap, None, None))
+            line = f"WARNING {__name__}: {lost} lines of the log were dropped: nobody read them\n{line}"
+        return line.encode(errors="replace")

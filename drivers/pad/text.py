@@ -107,14 +107,12 @@ class TextFrames(FrameParser):
                 readings += self._give_up(len(line) + 1)
             else:
                 readings += self._line(line, host_s)
-        surplus = len(self._buffer) - self._longest
-        if surplus > 0 and self._skipping:
-            self.counts.bytes_dropped += surplus
-            self._buffer = self._buffer[surplus:]
-        elif surplus > 0:
-            readings += self._give_up(len(self._buffer))
-            self._buffer = b""
-            self._skipping = True
+        if len(self._buffer) > self._longest:
+            if self._skipping:
+                self.counts.bytes_dropped += len(self._buffer)
+            else:
+                readings += self._give_up(len(self._buffer))
+            self._buffer, self._skipping = b"", True
         return readings
 
     def reset(self) -> None:

@@ -22,14 +22,7 @@ MOST_PROGRAMS = 3
 
 
 class ClosedAtOnceError(ConnectionError):
-    """The other end closed the connection after it had sent nothing, or a few words.
-
-    sent: what it sent.
-    """
-
-    def __init__(self, sent: bytes = b"") -> None:
-        super().__init__()
-        self.sent = sent
+    """The other end closed the connection after it had sent nothing, or a few words: the argument."""
 
 
 class SensorError(TouchdError):
@@ -66,7 +59,7 @@ def why_not_opened(port: str, error: Exception) -> SensorError:
 def why_not_read(port: str, error: Exception) -> SensorError:
     """Explain why reading an opened port failed: the device, or the other end of the connection, is gone."""
     if isinstance(error, ClosedAtOnceError):
-        return _closed_at_once(port, error.sent)
+        return _closed_at_once(port, *error.args)
     if "://" not in port:
         time.sleep(NODE_GONE_S)
         if os.path.exists(port):

@@ -28,7 +28,7 @@ from touchd.daemon.events import Event, Prediction, TouchEnded, encode
 from touchd.daemon.journal import Journal, JournalError
 from touchd.daemon.kept.touch_store import TouchStore, kept_touches
 from touchd.daemon.kept.touches import read_journal, read_since
-from touchd.daemon.log import LogLines, LogWriter
+from touchd.daemon.log import LogWriter
 from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
 from touchd.daemon.robot import link_to_robot
@@ -103,7 +103,7 @@ def test_a_log_that_nobody_reads_stops_nothing(tmp_path: Path) -> None:
 
 
 def test_lines_of_the_log_that_nobody_read_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(LogLines, "capacity", 3)
+    monkeypatch.setattr(LinesSink, "capacity", 3)
     reader, writer = os.pipe()
     log = LogWriter(writer)
     for number in range(10):
@@ -114,7 +114,7 @@ def test_lines_of_the_log_that_nobody_read_are_counted(monkeypatch: pytest.Monke
     with open(reader) as file:
         lines = [line.partition(": ")[2] for line in file.read().splitlines()]
     gap = "7 lines of the log were dropped: nobody read them"
-    assert lines == ["line 7", gap, "line 8", "line 9"]
+    assert lines == [gap, "line 7", "line 8", "line 9"]
 
 
 def test_a_full_disk_at_standard_output_loses_lines_only(caplog: pytest.LogCaptureFixture) -> None:

@@ -138,7 +138,7 @@ class World(RuleBasedStateMachine):
         link = RobotLink(RobotSettings(url=self.robot.url), open_session=self.robot.open_session)
         # A log that nobody reads.
         self.ends = os.pipe()
-        self.closing.enter_context(patch("touchd.daemon.log.LogLines.capacity", 10))
+        self.closing.enter_context(patch("touchd.daemon.log.LinesSink.capacity", 10))
         self.log = LogWriter(self.ends[1])
         listening = socket.create_server(("127.0.0.1", 0))
         self.page_port = listening.getsockname()[1]
