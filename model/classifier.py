@@ -127,16 +127,12 @@ class Classifier:
         return np.asarray(answers[0], dtype=np.float64), dict(zip(self.states, after, strict=True))
 
     def _checked(self, windows: NDArray[np.generic]) -> NDArray[np.float32]:
-        if windows.ndim != 4 or windows.shape[2:] != (ROWS, COLUMNS):
-            raise ModelInputError(f"expected frames of shape (T, {ROWS}, {COLUMNS}), got {windows.shape[1:]}")
-        if not 1 <= windows.shape[1] <= self.metadata.max_length:
-            raise ModelInputError(
-                f"{windows.shape[1]} frames; the model takes 1 to {self.metadata.max_length}"
-            )
-        counts = np.ascontiguousarray(windows, dtype=np.float32)
-        # A NaN fails both comparisons, so this one line also refuses what is not finite.
-        if not (counts.min(initial=0.0) >= 0.0 and counts.max(initial=0.0) <= MAX_COUNT):
-            raise ModelInputError(f"counts must be finite and within 0 to {MAX_COUNT}")
+        counts, longest = np.ascontiguousarray(windows, dtype=np.float32), self.metadata.max_length
+        is_window = counts.shape[2:] == (ROWS, COLUMNS) and 1 <= counts.shape[1] <= longest
+        # A NaN fails both comparisons, so this also refuses what is not finite.
+        if not is_window or not (counts.min() >= 0.0 and counts.max() <= MAX_COUNT):
+            wanted = f"1 to {longest} frames of {ROWS}x{COLUMNS} counts from 0 to {MAX_COUNT}"
+            raise ModelInputError(f"the model takes {wanted}; this is {counts.shape[1:]}")
         return counts
 
 
