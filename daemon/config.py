@@ -188,11 +188,6 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         }
 
     @property
-    def model_path(self) -> Path | None:
-        """The configured ONNX file, None for the shipped one."""
-        return None if self.model is None else written_out(self.model)
-
-    @property
     def bridges(self) -> dict[str, Section | None]:
         return {"mqtt": self.mqtt, "lsl": self.lsl, "ros2": self.ros2, "rosbridge": self.rosbridge}
 

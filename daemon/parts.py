@@ -15,6 +15,7 @@ from touchd.daemon.events import Event
 from touchd.daemon.monitor import PadMonitor
 from touchd.daemon.pipeline import Pipeline, Viewers
 from touchd.daemon.sinks import Sink
+from touchd.drivers.errors import written_out
 from touchd.drivers.frame import COLUMNS, NO_TOUCH, ROWS
 from touchd.drivers.pad.port import SensorError, check_port
 from touchd.drivers.pad.protocol import parser_of
@@ -135,14 +136,29 @@ def bridges_to_others(
 
 
 def load_model(settings: Settings) -> Classifier:
-    """Load the configured model; raises ModelError, or ConfigError when it does not fit the scene."""
-    return _fitting(settings, _load(settings.model_path))
+    """Load the only pad's model; see `load_models`."""
+    (model,) = load_models(settings).values()
+    return model
 
 
 def load_models(settings: Settings) -> dict[str, Classifier]:
-    """Load each pad's model, shared by pads with the same file; see `load_model`."""
-    by_path = {path: _load(path) for path in {pad.model_path for pad in settings.pads.values()}}
-    models = {name: _fitting(pad, by_path[pad.model_path]) for name, pad in settings.pads.items()}
+    """Load each pad's model, shared by pads with the same file, and warm it up.
+
+    Raises ModelError, or ConfigError when a model does not fit the scene or the words.
+    """
+    pads = settings.pads
+    by_file = {file: _load(file) for file in {pad.model for pad in pads.values()}}
+    models = {name: by_file[pad.model] for name, pad in pads.items()}
+    for name, pad in pads.items():
+        # The shipped model fits the scene by default.
+        if pad.model is not None or pad.scene != SceneSettings():
+            from touchd.daemon.fit import check_scene
+
+            check_scene(pad.scene, models[name])
+        # The first answer of each length takes several times longer than those after it.
+        for frames in pad.scene.answer_at_frames:
+            models[name].probabilities(np.zeros((frames, ROWS, COLUMNS), np.float32))
+            models[name].step(np.zeros((frames, ROWS, COLUMNS), np.float32))
     if settings.words:
         from touchd.daemon.fit import check_words
 
@@ -150,26 +166,12 @@ def load_models(settings: Settings) -> dict[str, Classifier]:
     return models
 
 
-def _fitting(settings: Settings, classifier: Classifier) -> Classifier:
-    """Return a pad's model, warmed up; raises ConfigError when it does not fit the scene."""
-    # The shipped model fits the scene by default.
-    if settings.model_path is not None or settings.scene != SceneSettings():
-        from touchd.daemon.fit import check_scene
-
-        check_scene(settings.scene, classifier)
-    # The first answer of each length takes several times longer than those after it.
-    for frames in settings.scene.answer_at_frames:
-        classifier.probabilities(np.zeros((frames, ROWS, COLUMNS), np.float32))
-        classifier.step(np.zeros((frames, ROWS, COLUMNS), np.float32))
-    return classifier
-
-
-def _load(path: Path | None) -> Classifier:
-    if path is None:
+def _load(file: str | None) -> Classifier:
+    if file is None:
         return Classifier.load()
     from touchd.model.own_file import load_own
 
-    return load_own(path)
+    return load_own(written_out(file))
 
 
 def check_pad(settings: Settings) -> None:

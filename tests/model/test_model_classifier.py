@@ -107,9 +107,7 @@ def test_another_shape_is_refused(classifier: Classifier, shape: tuple[int, ...]
 def test_an_empty_or_too_long_window_is_refused(classifier: Classifier) -> None:
     longest = classifier.metadata.max_length
     for length in (0, longest + 1):
-        with pytest.raises(
-            ModelInputError, match=rf"takes 1 to {longest} frames .* is \({length}, "
-        ):
+        with pytest.raises(ModelInputError, match=rf"takes 1 to {longest} frames .* is \({length}, "):
             classifier.probabilities(np.zeros((length, 8, 8), dtype=np.uint16))
 
 
