@@ -141,14 +141,12 @@ class Decision:
         A high probability is not enough: the last answer may have been wrong, so the odds must have shifted.
         """
         now = self.weigh(probabilities)
-        best, stands = _likeliest(now), self.told or NO_TOUCH
-
-        def log_odds(scene: dict[str, float]) -> float:
-            """Return those of the gesture that is likeliest now against the one that stands."""
-            likely, other = (max(scene.get(label, 0.0), LEAST_PROBABILITY) for label in (best, stands))
-            return math.log(likely / other)
-
-        return log_odds(now) - log_odds(self._answered) >= CHANGED_LOG_ODDS
+        pair = (_likeliest(now), self.told or NO_TOUCH)
+        odds = []
+        for scene in (now, self._answered):
+            likely, other = (max(scene.get(label, 0.0), LEAST_PROBABILITY) for label in pair)
+            odds.append(likely / other)
+        return math.log(odds[0] / odds[1]) >= CHANGED_LOG_ODDS
 
     def is_sure(self, probabilities: NDArray[np.float64], frames: int) -> bool:
         """Whether to answer early now, `frames` into the touch; False for an answer that may not be told."""

@@ -34,8 +34,7 @@ if typing.TYPE_CHECKING:
 class PadChannel:
     """One pad: its reader, the queue that the reader fills, and the pipeline that empties it.
 
-    frames: processed so far. is_up: None until the reader has said whether frames come. noted_dropped: of the
-    frames that the full queue dropped, those that were noted.
+    frames: processed so far. is_up: None until the reader has said whether frames come.
     """
 
     name: str
@@ -45,7 +44,6 @@ class PadChannel:
     pipeline: Pipeline
     frames: int = 0
     is_up: bool | None = None
-    noted_dropped: int = 0
 
 
 @dataclass(frozen=True, eq=False)

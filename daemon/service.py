@@ -120,22 +120,15 @@ class Service:
             pad.pipeline.on_frame(item)
             pad.frames += 1
             self._show(pad, item)
-            self._note_dropped(pad)
             pad.sensor.frames_together = self._frames_together(pad)
+            if dropped := pad.queue.dropped:
+                why = "the machine is too busy, or the pad sends too many"
+                over = f"{pad.name}: no frames are dropped any more; {dropped} were"
+                self._faults.count(pad.name, dropped, f"{pad.name}: frames dropped: {why}", over)
         elif isinstance(item, SensorState):
             pad.pipeline.on_sensor_state(item)
             pad.is_up = item.state == "up"
         return item is not None
-
-    def _note_dropped(self, pad: PadChannel) -> None:
-        """Log that a pad's full queue drops frames, or no longer."""
-        dropped = pad.queue.dropped
-        if dropped != pad.noted_dropped:
-            why = "the machine is too busy, or the pad sends too many"
-            self._faults.begin(pad.name, f"{pad.name}: frames dropped: {why}")
-        elif not pad.queue:
-            self._faults.end(pad.name, f"{pad.name}: no frames are dropped any more; {dropped} were")
-        pad.noted_dropped = dropped
 
     def _show(self, pad: PadChannel, frame: Frame) -> None:
         """Hand a processed frame to everything that shows or checks frames."""

@@ -75,7 +75,6 @@ class QueuedSink(ABC, Generic[Item]):
         self._log = log
         self._faults = FaultLog(log, f"{name}: ")
         self._items: DroppingQueue[Item | None] = DroppingQueue(self.capacity, _may_drop)
-        self._dropped_before = 0
         self._draining = False
         self._abandoned = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"touchd-{name}", daemon=True)
@@ -114,18 +113,11 @@ class QueuedSink(ABC, Generic[Item]):
                 self.write(item)
             except Exception:
                 self._log.exception("%s: an event could not be passed on", self.name)
-            self._note_dropped()
+            why = "it is away, too slow, or its disk is full"
+            over = f"nothing is lost any more; {self.dropped} events or frames were"
+            self._faults.count("dropped", self.dropped, f"events or frames are being lost: {why}", over)
         if self.dropped:
             self._log.warning("%s: %d events or frames were lost in all", self.name, self.dropped)
-
-    def _note_dropped(self) -> None:
-        """Log that items are being dropped, or no longer."""
-        if self.dropped == self._dropped_before:
-            self._faults.end("dropped", f"nothing is lost any more; {self.dropped} events or frames were")
-        else:
-            why = "it is away, too slow, or its disk is full"
-            self._faults.begin("dropped", f"events or frames are being lost: {why}")
-        self._dropped_before = self.dropped
 
 
 def _may_drop(item: object) -> bool:

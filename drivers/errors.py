@@ -28,9 +28,7 @@ TouchdError
     PageError          model/studies/marked.py      a page's marked places
     ResultsError       model/studies/results.py     stored figures
 
-Handled where they arise and never shown: StrictYamlError (daemon/strict_yaml.py), EventError
-(daemon/kept/touches.py), ModelInputError (model/classifier.py), PadLost (daemon/recorder/capture.py),
-RobotLost and RobotRefused (drivers/robot/session.py). Anything else is an internal error: exit code 1.
+Other errors are handled where they arise and never shown, or internal: exit code 1.
 """
 
 from collections.abc import Iterator

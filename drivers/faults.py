@@ -41,6 +41,7 @@ class _Fault:
     warned_s: float = -math.inf
     causes: set[str] = field(default_factory=set)
     last_cause: str = ""
+    total: int = 0
 
 
 class FaultLog:
@@ -78,6 +79,15 @@ class FaultLog:
         else:
             self._log.debug("%s%s", self._prefix, what)
         return is_news
+
+    def count(self, kind: str, total: int, what: str, over: str) -> None:
+        """Note how often something happened so far: the fault lasts while this rises from call to call."""
+        fault = self._faults[kind]
+        before, fault.total = fault.total, total
+        if total != before:
+            self.begin(kind, what)
+        else:
+            self.end(kind, over)
 
     def end(self, kind: str, what: str = "", now_s: float | None = None) -> bool:
         """Note that a fault is over, if it lasted; `what`, if given, is logged with how long that was.

@@ -80,13 +80,10 @@ class PadFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
             self._check_binary()
 
     def _check_text(self) -> None:
-        for name in ("header", "footer", "clock", "poll"):
-            if getattr(self, name):
-                raise FormatError(
-                    f"{name} is for a binary format; text has rows, columns, skip, tail and end"
-                )
-        if self.cell != "u16" or self.order != "little" or self.checksum != "none":
-            raise FormatError("cell, order and checksum are for a binary format")
+        for name in ("header", "footer", "clock", "poll", "cell", "order", "checksum"):
+            if getattr(self, name) not in ("", False, "u16", "little", "none"):
+                what = "text has rows, columns, skip, tail and end"
+                raise FormatError(f"{name} is for a binary format; {what}")
         if self.end != self.end.strip() or not self.end.isprintable():
             raise FormatError(
                 f"end {self.end!r} can never match: lines are compared without line ends and outer spaces; "

@@ -181,18 +181,19 @@ class Sensor:
     def _report_no_frames(self, recent: bytes, *, is_silent: bool) -> None:
         """Report that no frames come, and what comes instead."""
         is_udp, is_serial = self._port.startswith("udp://"), "://" not in self._port
+        cause = "silent"
         if not is_silent:
             cause, why = why_no_frame(self._port, self.parser.format, recent)
-            self._report_down(cause, f"{self.where}: {why}")
         elif self._silent_openings > SILENT_OPENINGS and not is_udp:
-            what = "takes the port but says nothing, also after it was opened again"
             repair = "unplug it, and plug it in again" if is_serial else "switch it off and on"
-            self._report_down("mute", f"{self.where}: the board {what}; {repair}")
+            why = f"the board takes the port but says nothing, also after it was opened again; {repair}"
+            cause = "mute"
         else:
-            why = "is it the pad's port, and does the pad run?"
+            question = "is it the pad's port, and does the pad run?"
             if is_udp:
-                why = "does the board run, and send to this machine and port?"
-            self._report_down("silent", f"{self.where}: no data for {self._silence_s:g} s: {why}")
+                question = "does the board run, and send to this machine and port?"
+            why = f"no data for {self._silence_s:g} s: {question}"
+        self._report_down(cause, f"{self.where}: {why}")
 
     def _report_down(self, cause: str, reason: str) -> None:
         """Report that no frames come, unless stopped: another reader may fill the queue by now."""

@@ -10,7 +10,7 @@ never used.
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from touchd.drivers.pad.parser import FrameParser
 # Room for a number with its label, separators and alignment, and for words beside the numbers of a line.
 CHARACTERS_A_NUMBER = 24
 CHARACTERS_A_LINE = 256
+LINE_END = re.compile(rb"\r*\n\r*|\r+")
 # What may stand between plain numbers; a line with anything else is read by TOKEN.
 SEPARATORS = b",;|\t\"'[](){}<>$#!&@/\\~^`?"
 PLAIN = bytes.maketrans(SEPARATORS + b"_nNiI", b" " * len(SEPARATORS) + b"\0" * 5)
@@ -37,14 +38,9 @@ TOKEN = re.compile(
 )
 
 
-def lines_in(text: bytes) -> Iterator[bytes]:
-    """Yield the lines of a text that ends where a line ends; LF CR ends a line as CR LF does."""
-    for piece in (text[:-1] if text.endswith(b"\n") else text).split(b"\n"):
-        inner = piece.strip(b"\r")
-        if b"\r" in inner:
-            yield from filter(None, inner.split(b"\r"))
-        else:
-            yield inner
+def lines_in(text: bytes) -> list[bytes]:
+    """Return the lines of a text that ends where a line ends; LF CR ends a line as CR LF does."""
+    return LINE_END.split(text)[:-1]
 
 
 def ended_at(text: bytes) -> int:
@@ -99,7 +95,7 @@ class TextFrames(FrameParser):
         ended = ended_at(text)
         self._buffer = text[ended:]
         readings: list[Reading] = []
-        for line in lines_in(text[:ended]) if ended else ():
+        for line in lines_in(text[:ended]):
             if self._skipping:
                 self._skipping = False
                 self.counts.bytes_dropped += len(line) + 1

@@ -126,7 +126,7 @@ def test_what_a_robot_does_comes_after_its_cause(pipe: tuple[int, int]) -> None:
         def __init__(self) -> None:
             pass
 
-        def publish(self, told: Told) -> None:
+        def put(self, item: Told) -> None:
             fanout.emit(done)
 
     lines = LinesSink("stdout", writer, encode)
