@@ -30,19 +30,17 @@ LEAST_COUNTS = 0.5
 LEAST_EXPLAINED = 0.5
 # If the pad's mean varies by less, the pad is calm, and no sine is searched for.
 LEAST_VARIANCE = LEAST_COUNTS**2 / 4
-# How well all taxels follow the sine: the lower tenth and quarter must reach these shares of the upper tenth.
+# How well all taxels follow the sine: the lower quarter must reach this share of the upper tenth.
 # Constant taxels, such as a row with a broken wire, do not count; at least LEAST_ALIVE must vary.
-LOW, QUARTER, HIGH = 6 / 64, 16 / 64, 57 / 64
-LOW_SHARE, QUARTER_SHARE = 0.2, 0.4
+QUARTER, HIGH = 16 / 64, 57 / 64
+QUARTER_SHARE = 0.4
 LEAST_ALIVE = 48
-# Refit in the first looks, until the vibration spans the window.
-NEW_LOOKS = 3
-# A fit whose amplitude or phase differs by more is due to a hand or to a step of the rest. After six such
-# fits that are weak or on an untouched pad, the vibration is another one.
+# Under a hand, a fit whose amplitude or phase differs by more is due to the hand or to a step of the rest.
+# After six such fits that are weak, the vibration is another one.
 LIKE, LIKE_RADIANS = (0.75, 1.35), 0.4
 WEAK = 0.4
 MISFITS = 6
-# Learning rates of weights, phase and frequency, per fit.
+# Learning rates per fit: of weights on an untouched pad, of phase and frequency under a hand.
 LEARNED, PHASE_LEARNED, TURN_LEARNED = 0.3, 0.3, 0.1
 # Fit the taxel at the lower third by load: a hand seldom covers more than two thirds.
 LIGHT = 19
@@ -76,7 +74,6 @@ class _Wave:
     weights: Pressures
     rest: Pressures
     fitted: float = 0.0
-    looks: int = 1
     misfits: int = 0
 
     def values(self, ago: NDArray[np.int_]) -> NDArray[np.float32]:
@@ -135,16 +132,18 @@ class Vibration:
             return
         frames = np.concatenate(self._blocks)
         found = _find(frames, common)
-        if found is not None and (wave is None or wave.looks < NEW_LOOKS):
+        if found is not None:
             new = _learn(frames, *found)
+            if wave is not None:
+                new.weights = wave.weights + LEARNED * (new.weights - wave.weights)
+                new.rest = wave.rest + LEARNED * (new.rest - wave.rest)
             new.fitted = abs(new.fit(frames))
-            new.looks = 1 if wave is None else wave.looks + 1
             self._wave = new if abs(new.now) >= LEAST_COUNTS else None
-        elif wave is not None and not self._follow(wave, frames, is_untouched=found is not None):
+        elif wave is not None and not self._follow(wave, frames):
             self._wave = None
 
-    def _follow(self, wave: _Wave, frames: Pressures, *, is_untouched: bool) -> bool:
-        """Adjust the sine to the last frames; return whether the pad still vibrates."""
+    def _follow(self, wave: _Wave, frames: Pressures) -> bool:
+        """Adjust the sine to the last frames under a hand; return whether the pad still vibrates."""
         newest = frames[-ENDED_FRAMES:]
         left = wave.without(newest, wave.values(AGO[-ENDED_FRAMES:]))
         if left.mean(axis=1).var() > ENDED * newest.mean(axis=1).var():
@@ -152,17 +151,11 @@ class Vibration:
         fit = wave.fit(frames)
         size, off = abs(fit) / wave.fitted, cmath.phase(fit / wave.now)
         if not (LIKE[0] < size < LIKE[1] and abs(off) < LIKE_RADIANS):
-            wave.misfits += is_untouched or size < WEAK
+            wave.misfits += size < WEAK
             return wave.misfits < MISFITS
         wave.misfits = 0
         wave.turn += TURN_LEARNED * off / STRIDE_FRAMES
         wave.now *= cmath.exp(1j * PHASE_LEARNED * off)
-        if is_untouched:
-            new = _learn(frames, wave.turn, wave.now)
-            wave.weights += LEARNED * (new.weights - wave.weights)
-            wave.rest += LEARNED * (new.rest - wave.rest)
-            wave.now *= (abs(new.now) / abs(wave.now)) ** LEARNED
-            wave.fitted += LEARNED * (abs(fit) - wave.fitted)
         return True
 
 
@@ -184,9 +177,8 @@ def _find(frames: Pressures, common: NDArray[np.float64]) -> tuple[float, comple
     following = np.sort((WAVES[at] @ (alive - alive.mean(axis=0)) / now).real)
     if len(following) < LEAST_ALIVE:
         return None
-    low, quarter, high = (following[int(share * len(following))] for share in (LOW, QUARTER, HIGH))
-    is_common = low >= LOW_SHARE * high and quarter >= QUARTER_SHARE * high
-    return (float(TURNS[at]), now) if is_common else None
+    quarter, high = (following[int(share * len(following))] for share in (QUARTER, HIGH))
+    return (float(TURNS[at]), now) if quarter >= QUARTER_SHARE * high else None
 
 
 def _is_alive(frames: Pressures) -> NDArray[np.bool_]:
