@@ -120,7 +120,8 @@ class Service:
             pad.pipeline.on_frame(item)
             pad.frames += 1
             self._show(pad, item)
-            pad.sensor.frames_together = self._frames_together(pad)
+            if not len(pad.queue):
+                pad.sensor.frames_together = self._frames_together(pad)
             if dropped := pad.queue.dropped:
                 why = "the machine is too busy, or the pad sends too many"
                 over = f"{pad.name}: no frames are dropped any more; {dropped} were"
