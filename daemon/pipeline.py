@@ -182,11 +182,10 @@ class Pipeline:
         self._report(self._monitor.on_sensor(state))
 
     def flush(self) -> None:
-        """End the ongoing touch, if any: no more frames will come."""
+        """End the ongoing touch, if any: no more frames come."""
         self._stop("stopped")
 
     def _report(self, state: SensorState | None) -> None:
-        """Emit the pad's state, if it has changed."""
         if state is not None:
             reason = one_line(state.reason, MAX_REASON_BYTES)
             self._emit(SensorEvent(state=state.state, time=self._now(), reason=reason, pad=self._pad))
