@@ -35,11 +35,8 @@ LEAST_VARIANCE = LEAST_COUNTS**2 / 4
 QUARTER, HIGH = 16 / 64, 57 / 64
 QUARTER_SHARE = 0.4
 LEAST_ALIVE = 48
-# Under a hand, a fit whose amplitude or phase differs by more is due to the hand or to a step of the rest.
-# After six such fits that are weak, the vibration is another one.
-LIKE, LIKE_RADIANS = (0.75, 1.35), 0.4
-WEAK = 0.4
-MISFITS = 6
+# Under a hand, a fit whose phase differs by more is due to the hand or to a step of the rest.
+LIKE_RADIANS = 0.4
 # Learning rates per fit: of weights on an untouched pad, of phase and frequency under a hand.
 LEARNED, PHASE_LEARNED, TURN_LEARNED = 0.3, 0.3, 0.1
 # Fit the taxel at the lower third by load: a hand seldom covers more than two thirds.
@@ -65,16 +62,13 @@ WAVES = np.exp(-1j * np.outer(TURNS, AGO)) * HANN * 2 / HANN.sum()
 class _Wave:
     """A sine: its turn per frame (radians), its newest value (counts), and how the taxels follow it.
 
-    weights, rest: (64,), the sine's share in each taxel, and its counts without the sine. fitted: the
-    amplitude of a fit to the light taxels, which is below the true one where counts are cut off at 0.
+    weights, rest: (64,), the sine's share in each taxel, and its counts without the sine.
     """
 
     turn: float
     now: complex
     weights: Pressures
     rest: Pressures
-    fitted: float = 0.0
-    misfits: int = 0
 
     def values(self, ago: NDArray[np.int_]) -> NDArray[np.float32]:
         """Return its values at frames relative to the newest, (0, -1, ...)."""
@@ -137,7 +131,6 @@ class Vibration:
             if wave is not None:
                 new.weights = wave.weights + LEARNED * (new.weights - wave.weights)
                 new.rest = wave.rest + LEARNED * (new.rest - wave.rest)
-            new.fitted = abs(new.fit(frames))
             self._wave = new if abs(new.now) >= LEAST_COUNTS else None
         elif wave is not None and not self._follow(wave, frames):
             self._wave = None
@@ -148,14 +141,10 @@ class Vibration:
         left = wave.without(newest, wave.values(AGO[-ENDED_FRAMES:]))
         if left.mean(axis=1).var() > ENDED * newest.mean(axis=1).var():
             return False
-        fit = wave.fit(frames)
-        size, off = abs(fit) / wave.fitted, cmath.phase(fit / wave.now)
-        if not (LIKE[0] < size < LIKE[1] and abs(off) < LIKE_RADIANS):
-            wave.misfits += size < WEAK
-            return wave.misfits < MISFITS
-        wave.misfits = 0
-        wave.turn += TURN_LEARNED * off / STRIDE_FRAMES
-        wave.now *= cmath.exp(1j * PHASE_LEARNED * off)
+        off = cmath.phase(wave.fit(frames) / wave.now)
+        if abs(off) < LIKE_RADIANS:
+            wave.turn += TURN_LEARNED * off / STRIDE_FRAMES
+            wave.now *= cmath.exp(1j * PHASE_LEARNED * off)
         return True
 
 
