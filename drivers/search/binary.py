@@ -23,7 +23,7 @@ MOST_AROUND = 32
 LONGEST_HEADER, SHORT_HEADER = 8, 2
 # One frame in 65 may be damaged; the proof asks for 98 %.
 STEADY_SHARE = 0.985
-# A header may also occur among the cells by chance: one byte does once in 256 random bytes.
+# A header may also occur by chance, this often for each byte of a frame; 1 of 256 random bytes is its first.
 STRAY = 0.01
 # A frame's length is a distance at which the same bytes, as many as one of these, recur so often that they
 # cover this share of all. Chosen on the presets' streams; the length of the largest pad limits it.

@@ -39,9 +39,9 @@ JUMPY = 0.5
 # Dead cells read 0 or full scale throughout; more values that never change are other numbers, such as those
 # of rows, or headers of packets that hold a part of a frame.
 FEW_STILL = 2
-# The full scales of whole numbers, those of usual converters; and those of others.
-WHOLE = (1023.0, 4095.0, 65535.0)
-BROKEN = tuple(each * 10.0**power for power in range(-6, 7) for each in (1, 2, 5))
+# Full scales: those of usual converters for whole numbers, round numbers for others.
+CONVERTERS = (1023.0, 4095.0, 65535.0)
+ROUND = tuple(each * 10.0**power for power in range(-6, 7) for each in (1, 2, 5))
 # A press must move a cell by this many counts of the model's scale: less is detected, but not recognised. At
 # rest, the third study's cells move by up to 13.
 LEAST_PRESS = 16.0
@@ -150,7 +150,7 @@ def settled(placed: Placement) -> PadFormat:
     described, values = placed.described, placed.values
     top = CELL_TOP.get(described.cell, math.inf) if described.framing == "binary" else math.inf
     largest = float(values.max())
-    usual = WHOLE if (values == np.round(values)).all() else BROKEN
+    usual = CONVERTERS if (values == np.round(values)).all() else ROUND
     scale = min(next((each for each in usual if each >= largest), largest), top)
     rest = np.median(values, axis=0)[np.ptp(values, axis=0) > 0]
     invert = bool(rest.size and np.median(rest) > scale / 2)

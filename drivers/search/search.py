@@ -36,7 +36,7 @@ FASTEST_HZ = 525.0
 # Frames do not pause for longer: the third study's gaps are shorter, and the parser holds frames back for a
 # second and a half, until it knows what their clock counts.
 LONGEST_PAUSE_S = 2.0
-# What a preset says beyond its line.
+# What a preset and a description of the same pad have in common.
 MEANING = attrgetter("framing", "rows", "columns", "full_scale", "invert")
 ADVICE = "print each frame in a line, or a row a line and an empty line after each; begin bytes with a header"
 
@@ -45,8 +45,8 @@ ADVICE = "print each frame in a line, or a row a line and an empty line after ea
 class Survey:
     """What a pad sends.
 
-    frame: how large a frame is, in words. rate_hz: frames a second. grid: the rows and columns that it may
-    have, and why; None if none fits. is_shown: whether the frames show them.
+    frame: how large a frame is, in words. rate_hz: frames a second. grid, why: its likely rows and columns,
+    None if none fit, and where they are from. is_shown: whether the frames show them.
     """
 
     frame: str
@@ -71,7 +71,7 @@ class Finding:
 
 
 def survey(chunks: Sequence[Chunk]) -> Survey | None:
-    """Look at what arrived, with no grid told; None if it has no frames."""
+    """Describe the frames in what arrived, without knowing the grid; None if there are none."""
     data, seconds = b"".join(chunk.data for chunk in chunks), seconds_of(chunks)
     if (lines := text.lines_of(data)) is None:
         table = next(binary.tables(data), None)

@@ -5,7 +5,6 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from msgspec.structs import replace
 
 from touchd.drivers.pad.arrived import is_text
 from touchd.drivers.pad.format import PadFormat
@@ -28,11 +27,11 @@ TextLine = tuple[list[float], str]
 class Printed(NamedTuple):
     """Frames of equal lines: (frames, lines, numbers of a line).
 
-    skips: how many numbers may lead each line. end: the text that ends a frame.
+    skip: how many numbers lead each line. end: the text that ends a frame.
     """
 
     numbers: Numbers
-    skips: range
+    skip: int
     end: str
 
 
@@ -56,33 +55,31 @@ def printed(lines: Sequence[TextLine]) -> Iterator[Printed]:
     if width == 1 or len(at) < LEAST_FRAMES or not np.isfinite(leads).all():
         return
     numbers = leads[:, 1:]
-    # Frames are separated by other lines, by a falling number before the cells, or by a text.
     falls = (np.diff(leads[:, :MOST_BESIDE], axis=0) < 0).T
-    falls[0] |= np.diff(at) > 1
-    splits = [(range(skip, skip + 1), "", each) for skip, each in enumerate(np.logical_or.accumulate(falls))]
     ends = Counter(end for _, end in lines if end and end.isprintable())
-    for end, _ in ends.most_common(MOST_ENDS):
-        ended = np.cumsum([0, *(text.endswith(end) for _, text in lines)])
-        splits.append((range(MOST_BESIDE + 1), end, np.diff(ended[at]) > 0))
-    for skips, end, is_split in splits:
-        # The first and the last lines may be parts of frames.
-        begins = np.flatnonzero(is_split) + 1
-        lengths = np.diff(begins)
-        length = int(np.bincount(lengths).argmax()) if len(lengths) >= LEAST_FRAMES else 1
-        whole = begins[:-1][lengths == length]
-        if length > 1 and len(whole) * length >= MOSTLY * lengths.sum():
-            yield Printed(numbers[whole[:, None] + np.arange(length)], skips, end)
-    yield Printed(numbers[:, None], range(MOST_BESIDE + 1), "")
+    for end in ("", *(end for end, _ in ends.most_common(MOST_ENDS))):
+        ended = np.cumsum([0, *(after.endswith(end) for _, after in lines)])
+        # Without an end, any other line separates frames. A label or a leading number that falls does, too.
+        is_split = np.diff(ended[at]) > (0 if end else 1)
+        for skip, fall in enumerate(falls):
+            is_split = is_split | fall
+            # The first and the last lines may be parts of frames.
+            begins = np.flatnonzero(is_split) + 1
+            lengths = np.diff(begins)
+            length = int(np.bincount(lengths).argmax()) if len(lengths) >= LEAST_FRAMES else 1
+            whole = begins[:-1][lengths == length]
+            if length > 1 and len(whole) * length >= MOSTLY * lengths.sum():
+                yield Printed(numbers[whole[:, None] + np.arange(length)], skip, end)
+    for skip in range(MOST_BESIDE + 1):
+        yield Printed(numbers[:, None], skip, "")
 
 
 def placements(lines: Sequence[TextLine], rows: int, columns: int) -> Iterator[Placement]:
     """Yield the placements of a grid's cells in the lines."""
-    for numbers, skips, end in printed(lines):
+    for numbers, skip, end in printed(lines):
         count, height, width = numbers.shape
         across, left = divmod(rows * columns, height)
-        beside = width - across
-        for skip in skips if not left and 0 <= beside <= MOST_BESIDE else ():
-            if skip <= beside:
-                grid = PadFormat(framing="text", rows=rows, columns=columns, end=end)
-                values = numbers[:, :, skip : skip + across].reshape(count, -1)
-                yield Placement(replace(grid, skip=skip, tail=beside - skip), values)
+        tail = width - skip - across
+        if not left and 0 <= tail <= MOST_BESIDE - skip:
+            described = PadFormat(framing="text", rows=rows, columns=columns, skip=skip, tail=tail, end=end)
+            yield Placement(described, numbers[:, :, skip : skip + across].reshape(count, -1))

@@ -190,6 +190,8 @@ def test_grids_of_the_shortest_and_longest_sides_are_read(rows: int, columns: in
 
 def test_sums_after_short_rows_are_not_cells() -> None:
     assert picture_of(READ["rows with sums"], a_hand_on(16, 8)) > 0.97
+    closed = a_hand_on(10, 4)
+    assert picture_of(lambda v, n: READ["rows with sums"](v, n).rstrip() + "]\r\n", closed) > 0.97
 
 
 def test_a_grid_that_is_sent_column_by_column_is_turned() -> None:
