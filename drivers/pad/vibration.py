@@ -35,9 +35,10 @@ LEAST_VARIANCE = LEAST_COUNTS**2 / 4
 QUARTER, HIGH = 16 / 64, 57 / 64
 QUARTER_SHARE = 0.4
 LEAST_ALIVE = 48
-# Under a hand, a fit whose phase differs by more is due to the hand or to a step of the rest.
+# A fit whose phase differs by more is due to another vibration on an untouched pad, and is learned at once;
+# under a hand it is due to the hand or to a step of the rest.
 LIKE_RADIANS = 0.4
-# Learning rates per fit: of weights on an untouched pad, of phase and frequency under a hand.
+# Learning rates of weights, phase and frequency, per fit.
 LEARNED, PHASE_LEARNED, TURN_LEARNED = 0.3, 0.3, 0.1
 # Fit the taxel at the lower third by load: a hand seldom covers more than two thirds.
 LIGHT = 19
@@ -90,6 +91,10 @@ class _Wave:
         *_, real, imaginary = np.linalg.lstsq(parts, light, rcond=None)[0].tolist()
         return complex(real, imaginary)
 
+    def off(self, frames: Pressures) -> float:
+        """Return by how much a fit to the frames is ahead, in radians."""
+        return cmath.phase(self.fit(frames) / self.now)
+
 
 class Vibration:
     """Follows a pad's frames on the grid and returns them without vibration."""
@@ -126,26 +131,27 @@ class Vibration:
             return
         frames = np.concatenate(self._blocks)
         found = _find(frames, common)
-        if found is not None:
+        off = 0.0 if wave is None else wave.off(frames)
+        if found is not None and (wave is None or abs(off) >= LIKE_RADIANS):
             new = _learn(frames, *found)
-            if wave is not None:
-                new.weights = wave.weights + LEARNED * (new.weights - wave.weights)
-                new.rest = wave.rest + LEARNED * (new.rest - wave.rest)
             self._wave = new if abs(new.now) >= LEAST_COUNTS else None
-        elif wave is not None and not self._follow(wave, frames):
+        elif wave is not None and _has_ended(wave, frames):
             self._wave = None
-
-    def _follow(self, wave: _Wave, frames: Pressures) -> bool:
-        """Adjust the sine to the last frames under a hand; return whether the pad still vibrates."""
-        newest = frames[-ENDED_FRAMES:]
-        left = wave.without(newest, wave.values(AGO[-ENDED_FRAMES:]))
-        if left.mean(axis=1).var() > ENDED * newest.mean(axis=1).var():
-            return False
-        off = cmath.phase(wave.fit(frames) / wave.now)
-        if abs(off) < LIKE_RADIANS:
+        elif wave is not None and abs(off) < LIKE_RADIANS:
             wave.turn += TURN_LEARNED * off / STRIDE_FRAMES
             wave.now *= cmath.exp(1j * PHASE_LEARNED * off)
-        return True
+            if found is not None:
+                new = _learn(frames, wave.turn, wave.now)
+                wave.weights += LEARNED * (new.weights - wave.weights)
+                wave.rest += LEARNED * (new.rest - wave.rest)
+                wave.now *= (abs(new.now) / abs(wave.now)) ** LEARNED
+
+
+def _has_ended(wave: _Wave, frames: Pressures) -> bool:
+    """Whether the pad no longer vibrates: subtracting the sine adds to what the last frames vary."""
+    newest = frames[-ENDED_FRAMES:]
+    left = wave.without(newest, wave.values(AGO[-ENDED_FRAMES:]))
+    return bool(left.mean(axis=1).var() > ENDED * newest.mean(axis=1).var())
 
 
 def _find(frames: Pressures, common: NDArray[np.float64]) -> tuple[float, complex] | None:
