@@ -123,6 +123,25 @@ def test_values_that_jump_from_frame_to_frame_degrade_the_pad(cells: int, load: 
     assert 20 < ended_s < 28
 
 
+@pytest.mark.parametrize(
+    ("cells", "jump", "is_said"), [(2, 50, True), (2, 49, False), (3, 40, True), (3, 39, False)]
+)
+def test_jumps_of_a_hundred_counts_a_frame_are_said(cells: int, jump: int, is_said: bool) -> None:
+    counts = sound_pad(20)
+    counts[:] = counts[0]
+    counts.reshape(-1, 64)[1::2, :cells] += np.uint16(jump)
+    assert bool([what for _, what, _ in faults_in(counts) if "jump" in what]) == is_said
+
+
+@pytest.mark.parametrize(("lively", "is_said"), [(48, True), (47, False)])
+def test_on_a_pad_with_noise_in_three_quarters_of_its_taxels_a_still_one_is_broken(
+    lively: int, is_said: bool
+) -> None:
+    counts = np.full((20 * RATE_HZ, 64), 10, np.uint16)
+    counts[1::2, :lively] += 1
+    assert bool(faults_in(counts.reshape(-1, 8, 8))) == is_said
+
+
 @pytest.mark.parametrize("taps_hz", [4.0, 8.0])
 @pytest.mark.parametrize("rate_hz", [12.0, 25.0, 54.0, 100.0])
 def test_a_quick_hand_does_not_garble_a_pad(rate_hz: float, taps_hz: float) -> None:
@@ -417,7 +436,8 @@ def test_gaps_in_frames_that_were_read_together_degrade_the_pad() -> None:
         frame = Frame(0, 300 * number, 1.5 * (number // 30), np.zeros((8, 8), np.uint16))
         states.append(monitor.on_frame(frame, restarted=True))
     (state,) = filter(None, states)
-    assert "with gaps of up to 300 ms" in state.reason
+    # The 27 last frames came in two reads, 1.5 s apart.
+    assert "17 frames a second come, with gaps of up to 300 ms" in state.reason
 
 
 def test_a_pad_that_is_too_slow_is_degraded() -> None:
