@@ -26,19 +26,10 @@ class RobotError(TouchdError):
 
 @dataclass(frozen=True)
 class Login:
-    """The login for a robot that asks for one (NAOqi 2.9). Its repr does not show the token.
-
-    libqi calls both methods by these names.
-    """
+    """The login for a robot that asks for one (NAOqi 2.9). Its repr does not show the token."""
 
     user: str
     token: str = field(repr=False)
-
-    def newAuthenticator(self) -> "Login":  # noqa: N802
-        return self
-
-    def initialAuthData(self) -> dict[str, str]:  # noqa: N802
-        return {"user": self.user, "token": self.token}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,7 +145,7 @@ class QiSession:
         self._session = self._qi.Session()
         self._proxies: dict[str, Any] = {}
         if login is not None:
-            self._session.setClientAuthenticatorFactory(login)
+            self._session.setClientAuthenticatorFactory(_Authenticator(login))
 
     def connect(self) -> None:
         connecting = self._session.connect(self._url, _async=True)
@@ -204,3 +195,16 @@ class QiSession:
             first_line = (str(error).splitlines() or [type(error).__name__])[0]
             because = one_line(f"{what}: {first_line}")
             raise (RobotRefused if self.connected() else RobotLost)(because) from error
+
+
+class _Authenticator:
+    """Supplies libqi with the login; libqi calls both methods by these names. It refuses a frozen object."""
+
+    def __init__(self, login: Login) -> None:
+        self._login = login
+
+    def newAuthenticator(self) -> "_Authenticator":  # noqa: N802
+        return self
+
+    def initialAuthData(self) -> dict[str, str]:  # noqa: N802
+        return {"user": self._login.user, "token": self._login.token}
