@@ -80,14 +80,19 @@ class TextFrames(FrameParser):
         self._around = described.skip + described.tail
         self._longest = CHARACTERS_A_NUMBER * (described.cells + self._around) + CHARACTERS_A_LINE
         self._end = described.end.encode()
-        self._skipping = True
-        # The run of lines since the last separator: its cells, how many numbers each line has, what led the
-        # last line, and when that came. The first run may have begun before we listened.
+        self._run_s = 0.0
+        self._begin()
+
+    def _begin(self) -> None:
+        """Skip the first line, which may be cut. The first run, too, may have begun before we listened."""
+        self._skipping = self._is_first_run = True
+        self._begin_run()
+
+    def _begin_run(self) -> None:
+        """Begin a run of lines: its cells, how many numbers each line has, and what led the last line."""
         self._run: list[float] = []
         self._run_width = 0
         self._run_leads: Sequence[float] = ()
-        self._run_s = 0.0
-        self._is_first_run = True
 
     def _parse(self, data: bytes, host_s: float) -> list[Reading]:
         # Where a line begins, a CR belongs to the LF before it.
@@ -113,9 +118,7 @@ class TextFrames(FrameParser):
 
     def reset(self) -> None:
         super().reset()
-        self._skipping = True
-        self._begin_run()
-        self._is_first_run = True
+        self._begin()
 
     def _give_up(self, length: int) -> list[Reading]:
         """Refuse a line that is too long to be one of the pad's."""
@@ -173,11 +176,6 @@ class TextFrames(FrameParser):
         if is_broken:
             self.counts.refuse("bad_framing")
         return []
-
-    def _begin_run(self) -> None:
-        self._run = []
-        self._run_width = 0
-        self._run_leads = ()
 
     def _frame(self, cells: list[float], skipped: Sequence[float], host_s: float) -> list[Reading]:
         return self._judge(skipped[0] if skipped else None, host_s, np.array(cells), max(cells))
