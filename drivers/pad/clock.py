@@ -254,6 +254,9 @@ def _steps_on(earlier_ms: int, later_ms: int) -> bool:
 PHASE_GAIN = 0.1
 PERIOD_GAIN = 0.005
 LOST_S = 0.25
+# If this many frames in a row come after two periods or more, the pad is slower than stated. Without this,
+# the stamps of a pad of 8 to 12 frames a second have gaps, in which touches end.
+SLOW_FRAMES = 5
 # Frames that flood in are stamped a millisecond apart; the clock restarts once it leads by this much.
 AHEAD_MS = 1000
 
@@ -273,9 +276,15 @@ class ArrivalClock:
         """Restart with the next frame."""
         self._period_s = self._stated_s
         self._expected_s: float | None = None
+        self._arrived_s = math.inf
+        self._slow_s: list[float] = []
 
     def stamp_ms(self, host_s: float) -> int:
         """Return the stamp (uint32 ms) of a frame that arrived at `host_s`; it falls only after a flood."""
+        step_s, self._arrived_s = host_s - self._arrived_s, host_s
+        self._slow_s = [*self._slow_s, step_s] if step_s >= 2 * self._period_s else []
+        if len(self._slow_s) == SLOW_FRAMES:
+            self._period_s, self._expected_s = min(self._slow_s), None
         expected_s = self._expected_s
         if expected_s is None or abs(host_s - expected_s) > LOST_S:
             expected_s = host_s
@@ -283,7 +292,7 @@ class ArrivalClock:
             off_s = host_s - expected_s
             expected_s += PHASE_GAIN * off_s
             period_s = self._period_s + PERIOD_GAIN * off_s
-            self._period_s = min(max(period_s, self._stated_s / 4), 4 * self._stated_s)
+            self._period_s = min(max(period_s, self._stated_s / 4), LOST_S)
         self._expected_s = expected_s + self._period_s
         now_ms = round(1000 * expected_s)
         is_ahead = self._last_ms - now_ms > AHEAD_MS

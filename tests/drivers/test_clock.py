@@ -112,6 +112,13 @@ def test_a_pad_off_its_stated_rate_is_followed(rate_hz: float) -> None:
     assert max(map(abs, off_ms[-108:])) <= 1.0
 
 
+@pytest.mark.parametrize("rate_hz", [8.0, 10.0, 12.0])
+def test_a_slow_pad_without_a_clock_has_no_gap_after_a_second(rate_hz: float) -> None:
+    clock, late_s = ArrivalClock(54.0), np.random.default_rng(0).uniform(0, 0.016, 100)
+    stamps = [clock.stamp_ms(100.0 + number / rate_hz + late_s[number]) for number in range(100)]
+    assert np.diff(stamps)[8:].max() <= 1000 / rate_hz + 20
+
+
 @pytest.mark.parametrize("rate_hz", [50.0, 54.0])
 def test_frames_that_come_unevenly_are_dated_evenly_from_the_start(rate_hz: float) -> None:
     clock, late_s = ArrivalClock(54.0), np.random.default_rng(0).uniform(0, 0.016, 540)
