@@ -13,7 +13,7 @@ log = logging.getLogger(__name__)
 
 CONNECT_S = 3.0
 MAX_BYTES = 65536
-# A server that is busy may say so before it closes the connection, as ser2net does.
+# A server that is busy may say so before it closes the connection, as ser2net does; quote this much of it.
 LONGEST_REFUSAL = 80
 # Over UDP, another board is read once the current one has sent no frame for GONE_S, or for TURN_S if it has
 # not sent any frame yet.
@@ -67,11 +67,10 @@ class NetworkPort:
         return _ended_lines(data) if is_text else data
 
     def _note(self, data: bytes) -> None:
-        self._received = (self._received + data)[: LONGEST_REFUSAL + 1]
+        self._received = (self._received + data)[:LONGEST_REFUSAL]
 
     def _closed(self) -> ConnectionError:
-        is_pad = self._sends_frames or len(self._received) > LONGEST_REFUSAL
-        return ConnectionResetError() if is_pad else ClosedAtOnceError(self._received)
+        return ConnectionResetError() if self._sends_frames else ClosedAtOnceError(self._received)
 
     def keep_sender(self) -> None:
         """Note that what was read last completed a frame: its sender is the pad."""

@@ -105,16 +105,24 @@ def test_a_server_that_closes_at_once_is_told_from_a_lost_pad() -> None:
             assert next_state(queue).reason == f"{address} went away: unplugged or switched off?"
 
 
-def test_a_server_that_says_that_it_is_busy_is_quoted() -> None:
+@pytest.mark.parametrize(
+    ("sent", "shown"),
+    [
+        (b"Port already in use\r\n", "text, such as 'Port already in use'"),
+        (encode_fabric_grid(stream_of(1).counts[0], 18)[:150], "bytes that are not text, such as "),
+    ],
+    ids=["busy", "half a frame"],
+)
+def test_a_server_that_closes_before_a_frame_is_quoted(sent: bytes, shown: str) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
         with sensing(address) as queue:
             connection, _ = server.accept()
-            connection.sendall(b"Port already in use\r\n")
+            connection.sendall(sent)
             connection.close()
-            assert (
-                "sent text, such as 'Port already in use', and closed it: does it" in next_state(queue).reason
-            )
+            reason = next_state(queue).reason
+    assert reason.startswith(f"{address} took the connection and sent {shown}")
+    assert "and closed it: does it serve one program at a time" in reason
 
 
 def test_a_connection_that_is_reset_at_once_was_not_refused() -> None:
