@@ -24,7 +24,8 @@ PAUSED_S = 1.0
 # After a read of FLOOD_BYTES, sleep FLOOD_REST times the parse time, at most LONGEST_REST_S.
 FLOOD_BYTES, FLOOD_REST, LONGEST_REST_S = 16384, 9, 0.25
 # A frame's time at 54 Hz, with a little for jitter. Linux keeps 4096 bytes of a port: a read is put off for
-# twice the frames that the last one brought, at most, and not at all if that brought half as much.
+# twice the frames that the last one brought, at most, for no longer than half as many bytes take, and not at
+# all if the last one brought as many.
 FRAME_S, MOST_UNHURRIED_BYTES = 0.0186, 2048
 # At this rate many boards start their boot loader when the port is closed.
 BOOT_BAUD = 1200
@@ -141,9 +142,9 @@ class Sensor:
         while not self._stop.is_set():
             data = read_waiting(opened, self.parser)
             now_s = time.monotonic()
-            if now_s - read_s > PAUSED_S:
+            took_s, read_s = now_s - read_s, now_s
+            if took_s > PAUSED_S:
                 byte_s = frame_s = now_s
-            read_s = now_s
             if data:
                 byte_s = now_s
                 self._silent_openings = 0
@@ -157,7 +158,8 @@ class Sensor:
                         opened.keep_sender()
                     is_dated = self.parser.clock.dates_frames and len(data) < MOST_UNHURRIED_BYTES
                     if can_wait and is_dated and self.frames_together > 1:
-                        time.sleep(FRAME_S * min(self.frames_together, 2 * frames))
+                        together_s = FRAME_S * min(self.frames_together, 2 * frames)
+                        time.sleep(min(together_s, took_s * MOST_UNHURRIED_BYTES / len(data)))
                 if len(data) >= FLOOD_BYTES:
                     # Leave the processor to others.
                     self._stop.wait(min(FLOOD_REST * (time.monotonic() - now_s), LONGEST_REST_S))

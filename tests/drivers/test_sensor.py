@@ -3,6 +3,7 @@
 import functools
 import socket
 import time
+from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from itertools import pairwise
@@ -122,6 +123,18 @@ def test_frames_that_nobody_needs_are_read_together(
         sensor.stop()
     assert [later.number - frame.number for frame, later in pairwise(frames)] == [1] * 39
     assert len({frame.host_s for frame in frames}) in reads
+
+
+def test_a_fast_pads_frames_do_not_fill_its_port_meanwhile() -> None:
+    queue = FrameQueue()
+    with FakePort(stream_of(800), encode_fabric_grid, speed=5.0) as port:
+        sensor = Sensor(port.path, BAUD, FabricGrid(), queue)
+        sensor.frames_together = 8
+        sensor.start()
+        arrivals_s = [frame.host_s for frame in next_frames(queue, 800)[500:]]
+        sensor.stop()
+    # Linux keeps 4096 bytes, which are 19 frames.
+    assert max(Counter(arrivals_s).values()) < 17
 
 
 def test_any_pyserial_address_works() -> None:
