@@ -122,14 +122,15 @@ class FrameClock:
 
     def _choose(self) -> None:
         """Use the clock in the unit that the windows show, or not at all, if they show anything."""
-        rates = sorted(window.rate for window in self._windows)
+        # Counts of the clock in a second of arrival, and from frame to frame.
+        rates = sorted((each.last - each.first) / (each.last_s - each.first_s) for each in self._windows)
+        steps = sorted((each.last - each.first) / each.frames for each in self._windows)
         stands = any(window.standing > window.frames // 4 for window in self._windows)
         if stands or rates[-1] >= ALIKE * rates[0]:
             if all(2 * w.delivered < w.frames for w in self._windows):
                 self._use(None, f"the pad's clock stands still or jumps{NOT_USED}")
             return
-        rate = rates[len(rates) // 2]
-        step = sorted(window.step for window in self._windows)[len(self._windows) // 2]
+        rate, step = rates[len(rates) // 2], steps[len(steps) // 2]
         units_ms = [unit_ms for unit_ms in UNITS_MS if abs(rate * unit_ms / 1000 - 1) <= CLOSE]
         if units_ms:
             self._use(units_ms[0])
@@ -162,16 +163,6 @@ class _Window:
     frames: int = 0
     standing: int = 0
     delivered: int = 0
-
-    @property
-    def rate(self) -> float:
-        """Counts of the clock in a second of arrival."""
-        return (self.last - self.first) / (self.last_s - self.first_s)
-
-    @property
-    def step(self) -> float:
-        """Counts of the clock from frame to frame."""
-        return (self.last - self.first) / self.frames
 
 
 def _as_ms(stamp: float, unit_ms: float) -> int:
@@ -276,8 +267,7 @@ class ArrivalClock:
         """Restart with the next frame."""
         self._period_s = self._stated_s
         self._expected_s: float | None = None
-        self._arrived_s = math.inf
-        self._slow_s: list[float] = []
+        self._arrived_s, self._slow_s = math.inf, list[float]()
 
     def stamp_ms(self, host_s: float) -> int:
         """Return the stamp (uint32 ms) of a frame that arrived at `host_s`; it falls only after a flood."""
