@@ -56,8 +56,9 @@ NOISY_CHECKS = round(5 * FRAME_RATE_HZ / REST_FRAMES)
 # The share of frames, averaged over 2 s, in which a taxel changes: mostly above one half on a sound pad.
 # If a taxel stops changing, it counts as still after about 8 s, and as lively half a second after it moves.
 AVERAGE_S = 2.0
-# Frames are checked half a second at a time, which takes a twentieth of the time of one by one.
-BLOCK_FRAMES = 27
+# Frames are checked half a second at a time, which takes a twentieth of the time of one by one. Without the
+# limit in ms, a slow pad that is touched often is hardly ever checked.
+BLOCK_FRAMES, LEAST_BLOCK_FRAMES, BLOCK_MS = 27, 3, 500
 STILL_SHARE = 0.01
 UNKNOWN_SHARE = 0.05
 LIVELY_SHARE = 0.1
@@ -304,7 +305,8 @@ class TaxelFaults:
         """Take the next frame."""
         self._block.append(frame)
         self._is_untouched &= is_untouched
-        if len(self._block) <= BLOCK_FRAMES:
+        span_ms = (frame.sensor_ms - self._block[0].sensor_ms) % CLOCK_MODULUS
+        if len(self._block) <= (BLOCK_FRAMES if span_ms < BLOCK_MS else LEAST_BLOCK_FRAMES):
             return
         self._measure(np.stack([one.pressure for one in self._block]), _passed_s(self._block))
         self._block, self._is_untouched = [frame], is_untouched
@@ -318,7 +320,7 @@ class TaxelFaults:
             self._measure_changes((pressure[1:] != pressure[:-1]).mean(axis=0), passed_s, weight)
         is_saturated = (pressure[1:] >= SATURATED_COUNT).sum(axis=(1, 2)) >= SATURATED_TAXELS
         self._saturation += weight * (float(is_saturated.mean()) - self._saturation)
-        is_fast = passed_s <= BLOCK_FRAMES / GARBLED_HZ
+        is_fast = passed_s <= (len(pressure) - 1) / GARBLED_HZ
         garbled = float((_jumps(pressure) >= GARBLED_COUNTS).mean()) if is_fast else 0.0
         self._garbled += weight * (garbled - self._garbled)
 

@@ -460,6 +460,16 @@ def test_a_hand_does_not_show_which_taxels_stand_still() -> None:
     assert taxels.faults == {}
 
 
+def test_a_row_that_broke_on_a_slow_pad_is_found_between_touches() -> None:
+    taxels = TaxelFaults()
+    # Ten frames a second; a hand and what it leaves take four of every six seconds.
+    for number, frame in enumerate(pad_with_dead_row(20, (10, 20))):
+        at_ms = 100 * number
+        taxels.update(Frame(number, at_ms, at_ms / 1000, frame), is_untouched=at_ms % 6000 < 2000)
+        assert taxels.faults == {} or number > 10 * RATE_HZ
+    assert list(taxels.faults) == ["dead line"]
+
+
 def test_stale_frames_after_a_pause_are_not_judged() -> None:
     monitor = PadMonitor()
     assert states_of(monitor, range(0, 5000, 18)) == []
