@@ -205,6 +205,11 @@ def test_frames_may_wait_unless_an_answer_is_due() -> None:
     assert bench.pipeline.frames_together == 8
 
 
+def test_fewer_frames_wait_where_an_answer_comes_as_soon_as_it_is_sure() -> None:
+    bench = Bench(decision=DecisionSettings(early="when_sure"))
+    assert bench.pipeline.frames_together == 4
+
+
 def test_frames_do_not_wait_when_the_hand_may_just_have_left() -> None:
     bench, since_lifted = Bench(), list[bool]()
     bench.feel(palm(0.3))
