@@ -14,6 +14,8 @@ MISSING = re.compile(r"Object missing required field `(.*)`")
 WRONG_KIND = re.compile(r"Expected `(.*)`, got `(.*)`")
 OUT_OF_RANGE = re.compile(r"Expected `(?:int|float)` ([<>]=?.*)")
 WRONG_LENGTH = re.compile(r"Expected `array` of length (\d+), got (\d+)")
+EMPTY = re.compile(r"Expected `(?:str|array)` of length >= 1")
+WRONG_FORM = "Expected `str` matching regex "
 WRONG_CHOICE = re.compile(r"Invalid enum value (.*)")
 # msgspec's names of types, in words.
 KINDS = {
@@ -24,8 +26,12 @@ KINDS = {
     "float": "a number",
     "bool": "true or false",
 }
-# Sections that look as if they took a single value.
+# Sections that look as if they took a single value, and texts of a certain form.
 EXAMPLES = {
+    "namespace": "namespace: /touchd",
+    "topic": "topic: lab/nao1",
+    "url": "url: ws://robot:9090",
+    "words": "words: {stroke: {name: caress, phrase: a caress}}",
     "journal": "journal: {path: events.jsonl}",
     "leds": "leds: {color: green}",
     "live": "live: {port: 8054}",
@@ -46,6 +52,9 @@ YAML_PROBLEMS = {
     "found '<block sequence start>'": INDENTED,
     "mapping values are not allowed here": "a colon where none can stand: is this line indented too far, "
     "does a line above lack ': ' after its name, or a text with a colon its quotes?",
+    "<document start>": "settings (name: value) expected",
+    "found another document": "one document expected; remove the line ---",
+    "determine a constructor": "tags (!name) are not allowed; write the value alone",
     "found unexpected end of stream": "a quote is opened above and not closed",
 }
 
@@ -79,6 +88,12 @@ def explain(error: str, struct: type[msgspec.Struct]) -> str:
             problem += f"; as in {example}"
     elif match := WRONG_LENGTH.fullmatch(problem):
         problem = f"{match[1]} values expected, not {match[2]}"
+    elif problem == "Expected `str`":
+        problem = "a name before a colon is not text; put it in quotes if it is a number or on, off, yes, no"
+    elif EMPTY.fullmatch(problem):
+        problem = "must not be empty"
+    elif problem.startswith(WRONG_FORM):
+        problem = f"another form expected, as in {EXAMPLES[path.rpartition('.')[2]]}"
     elif match := OUT_OF_RANGE.fullmatch(problem):
         problem = f"must be {match[1]}"
     elif match := WRONG_CHOICE.fullmatch(problem):
