@@ -58,7 +58,7 @@ def grid_of(text: str) -> Grid:
     grid = (int(sides[1]), int(sides[2])) if sides else (0, 0)
     if not all(SHORTEST_SIDE <= side <= LONGEST_SIDE for side in grid):
         raise argparse.ArgumentTypeError(
-            f"{text!r} is not ROWSxCOLUMNS of {SHORTEST_SIDE} to {LONGEST_SIDE} each, as in 16x16"
+            f"{text.strip()!r} is not ROWSxCOLUMNS of {SHORTEST_SIDE} to {LONGEST_SIDE} each, as in 16x16"
         )
     return grid
 

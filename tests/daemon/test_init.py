@@ -1,5 +1,6 @@
 """`touchd init`: finds pad and robot, and writes a configuration that runs."""
 
+import argparse
 import errno
 import os
 import pty
@@ -274,7 +275,7 @@ def test_the_robot_is_asked_for_tried_and_used(monkeypatch: pytest.MonkeyPatch) 
         with Terminal("init", "--port", port.path, "--baud", "115200") as terminal:
             # init asks for presses; the recording contains them.
             terminal.until("Rows and columns? [10x10] (as fabric-grid)")
-            terminal.answer("10", "is not ROWSxCOLUMNS of 4 to 64 each, as in 16x16")
+            terminal.answer("10", "'10' is not ROWSxCOLUMNS of 4 to 64 each, as in 16x16")
             terminal.answer("", "Leave the pad alone")
             terminal.until("Press firmly in the middle")
             terminal.until("Touch the corner that should be top left")
@@ -295,3 +296,8 @@ def test_the_robot_is_asked_for_tried_and_used(monkeypatch: pytest.MonkeyPatch) 
             daemon.terminate()
             assert daemon.wait(WITHIN_S) == 0
     assert Path("state/touchd/events.jsonl").stat().st_size > 0
+
+
+def test_a_wrong_grid_is_quoted_without_its_line_end() -> None:
+    with pytest.raises(argparse.ArgumentTypeError, match=r"^'10' is not ROWSxCOLUMNS"):
+        hand.grid_of("10\n")
