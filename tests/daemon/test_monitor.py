@@ -133,6 +133,28 @@ def test_jumps_of_a_hundred_counts_a_frame_are_said(cells: int, jump: int, is_sa
     assert bool([what for _, what, _ in faults_in(counts) if "jump" in what]) == is_said
 
 
+def test_a_garbled_line_that_gets_better_is_garbled_until_it_is_good() -> None:
+    seldom = sound_pad(60)
+    seldom[::4, 2:4, 2:4] += np.uint16(300)
+    assert faults_in(seldom) == []
+    often = seldom.copy()
+    often[5 * RATE_HZ : 15 * RATE_HZ : 2, 2:4, 2:4] = 500
+    often[40 * RATE_HZ :] = sound_pad(20)
+    (begun_s, _, begins), (ended_s, _, begins_again) = faults_in(often)
+    assert (begins, begins_again) == (True, False)
+    assert 5 < begun_s < 12
+    assert 40 < ended_s < 46
+
+
+@pytest.mark.parametrize(
+    ("taxels", "counts", "is_said"), [(16, 1000, True), (16, 999, False), (15, 1023, False)]
+)
+def test_a_quarter_of_the_pad_at_its_limit_is_said(taxels: int, counts: int, is_said: bool) -> None:
+    pad = sound_pad(15)
+    pad.reshape(-1, 64)[:, :taxels] = counts
+    assert any("at its limit" in what for _, what, _ in faults_in(pad)) == is_said
+
+
 @pytest.mark.parametrize(("lively", "is_said"), [(48, True), (47, False)])
 def test_on_a_pad_with_noise_in_three_quarters_of_its_taxels_a_still_one_is_broken(
     lively: int, is_said: bool
