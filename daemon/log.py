@@ -69,8 +69,10 @@ class LogWriter(logging.Handler):
         self._lines.put(record)
 
     def _line(self, record: logging.LogRecord) -> bytes:
-        line = LINE.format(record)
+        lines = LINE.format(record)
         lost, self._dropped_before = self._lines.dropped - self._dropped_before, self._lines.dropped
         if lost:
-            line = f"WARNING {__name__}: {lost} lines of the log were dropped: nobody read them\n{line}"
-        return line.encode(errors="replace")
+            gap = f"{lost} lines of the log were dropped: nobody read them"
+            before = logging.LogRecord(__name__, logging.WARNING, "", 0, gap, None, None)
+            lines = f"{LINE.format(before)}\n{lines}"
+        return lines.encode(errors="replace")

@@ -26,11 +26,15 @@ KINDS = {
     "float": "a number",
     "bool": "true or false",
 }
-# Sections that look as if they took a single value, and texts of a certain form.
-EXAMPLES = {
+# Settings whose text has a certain form.
+FORMS = {
+    "discovery": "discovery: homeassistant",
     "namespace": "namespace: /touchd",
     "topic": "topic: lab/nao1",
     "url": "url: ws://robot:9090",
+}
+# Sections that look as if they took a single value.
+EXAMPLES = {
     "words": "words: {stroke: {name: caress, phrase: a caress}}",
     "journal": "journal: {path: events.jsonl}",
     "leds": "leds: {color: green}",
@@ -93,7 +97,7 @@ def explain(error: str, struct: type[msgspec.Struct]) -> str:
     elif EMPTY.fullmatch(problem):
         problem = "must not be empty"
     elif problem.startswith(WRONG_FORM):
-        problem = f"another form expected, as in {EXAMPLES[path.rpartition('.')[2]]}"
+        problem = f"another form expected, as in {FORMS[path.rpartition('.')[2]]}"
     elif match := OUT_OF_RANGE.fullmatch(problem):
         problem = f"must be {match[1]}"
     elif match := WRONG_CHOICE.fullmatch(problem):

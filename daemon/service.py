@@ -142,9 +142,10 @@ class Service:
             bridge.put_frame(frame, pad.name)
 
     def _stop_sinks(self) -> None:
-        """Stop the robot first, which comes last, then the others in parallel."""
-        *others, robot = self.events.sinks
-        robot.stop(SINKS_STOP_S / 2)
-        with ThreadPoolExecutor(len(others) or 1) as ending:
-            for sink in others:
+        """Stop the last sink first, where the robot is, for its own events; then the others in parallel."""
+        sinks = self.events.sinks
+        for robot in sinks[-1:]:
+            robot.stop(SINKS_STOP_S / 2)
+        with ThreadPoolExecutor(len(sinks) or 1) as ending:
+            for sink in sinks[:-1]:
                 ending.submit(sink.stop, SINKS_STOP_S / 2)

@@ -130,7 +130,7 @@ class Classifier:
         counts, longest = np.ascontiguousarray(windows, dtype=np.float32), self.metadata.max_length
         is_window = counts.shape[2:] == (ROWS, COLUMNS) and 1 <= counts.shape[1] <= longest
         # A NaN fails both comparisons, so this also refuses what is not finite.
-        if not is_window or not (counts.min() >= 0.0 and counts.max() <= MAX_COUNT):
+        if not is_window or not (counts.min(initial=0.0) >= 0.0 and counts.max(initial=0.0) <= MAX_COUNT):
             wanted = f"1 to {longest} frames of {ROWS}x{COLUMNS} counts from 0 to {MAX_COUNT}"
             raise ModelInputError(f"the model takes {wanted}; this is {counts.shape[1:]}")
         return counts

@@ -80,8 +80,9 @@ class PadFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
             self._check_binary()
 
     def _check_text(self) -> None:
+        plain = PadFormat()
         for name in ("header", "footer", "clock", "poll", "cell", "order", "checksum"):
-            if getattr(self, name) not in ("", False, "u16", "little", "none"):
+            if getattr(self, name) != getattr(plain, name):
                 what = "text has rows, columns, skip, tail and end"
                 raise FormatError(f"{name} is for a binary format; {what}")
         if self.end != self.end.strip() or not self.end.isprintable():

@@ -16,7 +16,7 @@ import serial
 
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.why_not import SensorError as SensorError
-from touchd.drivers.pad.why_not import shared, why_not_opened, why_not_read
+from touchd.drivers.pad.why_not import programs_at, shared, why_not_opened, why_not_read
 
 READ_TIMEOUT_S = 0.1
 READ_BYTES = 65536
@@ -96,7 +96,7 @@ def read_waiting(opened: Line, parser: FrameParser) -> bytes:
         first = opened.read(1)
         return first + opened.read(opened.in_waiting) if first else b""
     except NothingReadError as error:
-        raise shared(str(opened.port)) from error
+        raise shared(str(opened.port), programs_at(str(opened.port))) from error
     except (OSError, termios.error) as error:
         raise why_not_read(str(opened.port), error) from error
 

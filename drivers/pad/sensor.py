@@ -116,8 +116,8 @@ class Sensor:
             begun_s = time.monotonic()
             try:
                 # Opening restarts an Arduino, so wait for the other program to leave first.
-                if self._is_shared and programs_at(self._port):
-                    raise shared(self._port)
+                if self._is_shared and (programs := programs_at(self._port)):
+                    raise shared(self._port, programs)
                 self._is_shared = False
                 with open_port(self._port, self._baud) as opened:
                     self._read(opened)

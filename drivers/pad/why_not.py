@@ -74,9 +74,9 @@ def _closed_at_once(port: str, sent: bytes) -> SensorError:
     return SensorError("busy", f"{port} took the connection and {what}: {advice}")
 
 
-def shared(port: str) -> SensorError:
-    """Return an error that says that another program takes bytes of a port, and which, if it can be seen."""
-    who = programs_at(port) or f"fuser {port} shows which"
+def shared(port: str, programs: str) -> SensorError:
+    """Return an error that says that other programs take bytes of a port. programs: which, "" if not seen."""
+    who = programs or f"fuser {port} shows which"
     return SensorError("shared", f"{port}: another program reads it too, and takes bytes ({who}); end it")
 
 

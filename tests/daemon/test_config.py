@@ -143,6 +143,8 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
         ),
         ("journal: {path: x, max_mb: .inf}", "journal.max_mb: must be <= 10000.0"),
         ("mqtt: {topic: a/#}", "mqtt.topic: another form expected, as in topic: lab/nao1"),
+        ("mqtt: {discovery: a/#}", "mqtt.discovery: another form expected, as in discovery: homeassistant"),
+        ("ros2: {namespace: a b}", "ros2.namespace: another form expected, as in namespace: /touchd"),
         ("rosbridge: {url: 'ws://robot:90900'}", "(Port out of range 0-65535)"),
         ("scene: {actions: [{above: {peek: 3}, do: [{say: a}]}]}", "'peek' is not one of duration_s"),
         ("log_level: loud", "log_level: 'loud' is not one of debug, info, warning, error"),

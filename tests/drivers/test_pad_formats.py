@@ -333,7 +333,7 @@ def test_a_pad_is_turned_then_mirrored() -> None:
         ({"header": " "}, "header ' ' is not bytes in hex"),
         ({"framing": "text", "end": "\n"}, "can never match"),
         ({"framing": "text", "header": "aa"}, "header is for a binary format"),
-        ({"framing": "text", "cell": "u8"}, "is for a binary format"),
+        ({"framing": "text", "cell": "u8"}, "cell is for a binary format; text has rows, columns"),
         ({"header": "aa", "end": "x"}, "end is for a text format"),
         ({"header": "aa", "tail": 1, "checksum": "sum8"}, "tail and checksum"),
         ({"rows": 10, "crop": 4, "header": "aa"}, "10x10 with crop 4 leaves 2x2"),

@@ -167,9 +167,14 @@ def test_dropped_frames_are_logged_until_the_queue_is_empty(caplog: pytest.LogCa
     service.run(lambda: True)
     begun, ended, in_all = (record.message for record in caplog.records if "dropped" in record.message)
     assert begun.startswith("pad: frames dropped: the machine is too busy")
-    assert ended.startswith("pad: no frames are dropped any more; 6")
     processed, _, dropped = re.findall(r"\d+", in_all)
+    assert ended.startswith(f"pad: no frames are dropped any more; {dropped} were")
     assert int(processed) + int(dropped) == 600
+
+
+def test_a_daemon_that_tells_nobody_ends_as_any_other() -> None:
+    settings = Settings(sensor=SensorSettings(port="/dev/nobody"), journal=None)
+    Service(settings).run(lambda: True)
 
 
 def needs(program: str) -> pytest.MarkDecorator:
