@@ -73,6 +73,13 @@ SATURATED_TAXELS = 16
 # counts in total; smaller jumps of a taxel are noise. In 5 s of HAART or the robot, at most a fifth of frames
 # are; on a pad of less than 40 Hz a pat looks the same.
 JUMP_COUNTS, GARBLED_COUNTS, GARBLED_SHARE, GARBLED_HZ = 40, 100, 0.35, 40.0
+# Values that jump, on a pad too slow to tell them from a pat, keep a touch open; so does a load that moves.
+# HAART's longest touches take ten seconds.
+LONG_TOUCH_S = 60.0
+LONG_TOUCH = (
+    "a touch has gone on for a minute; if no hand is there, does something lie on the pad, or do its values "
+    "jump?"
+)
 # Taxels of one broken wire do not fall still in the same frame; report once all have.
 SETTLE_S = 2.0
 
@@ -111,21 +118,28 @@ class PadMonitor:
         self._state = state
         return state
 
-    def on_frame(self, frame: Frame, *, restarted: bool, is_untouched: bool = True) -> SensorState | None:
-        """Take the next frame. restarted: whether the grid restarted with it. is_untouched: by any hand."""
+    def on_frame(
+        self, frame: Frame, *, restarted: bool, is_untouched: bool = True, touched_s: float = 0.0
+    ) -> SensorState | None:
+        """Take the next frame. restarted: whether the grid restarted with it.
+
+        is_untouched: by any hand. touched_s: how long the touch has gone on, if there is one.
+        """
         self._gaps.update(frame, restarted)
         self._taxels.update(frame, is_untouched=is_untouched)
         if self._line is not None:
             self._line.update(frame.host_s)
-        return self._note(frame.host_s)
+        return self._note(frame.host_s, touched_s)
 
     def on_rest(self, *, is_noisy: bool, loose_lines: Sequence[str]) -> None:
         """Take what the tracker knows of the untouched pad, every REST_FRAMES while nothing touches it."""
         self._rest.update(is_noisy, loose_lines)
 
-    def _note(self, now_s: float) -> SensorState | None:
+    def _note(self, now_s: float, touched_s: float) -> SensorState | None:
         """Log what has begun and ended; return the state if it is another one now."""
         found = self._gaps.faults | self._taxels.faults | self._rest.faults
+        if touched_s >= LONG_TOUCH_S:
+            found["long touch"] = LONG_TOUCH
         if "loose wire" in found:
             # It is the line that jumps.
             found.pop("garbled", None)

@@ -169,10 +169,13 @@ class Pipeline:
         for grid_frame in laid:
             self._staleness.update(grid_frame)
             self._advance(grid_frame)
-        restarted = any(grid_frame.restarted for grid_frame in laid)
-        self._report(
-            self._monitor.on_frame(frame, restarted=restarted, is_untouched=self._tracker.is_untouched)
+        state = self._monitor.on_frame(
+            frame,
+            restarted=any(grid_frame.restarted for grid_frame in laid),
+            is_untouched=self._tracker.is_untouched,
+            touched_s=self._touch.length / FRAME_RATE_HZ if self._touch else 0.0,
         )
+        self._report(state)
 
     def on_sensor_state(self, state: SensorState) -> None:
         """Note that the sensor came or went; when it goes, the touch ends and rest is measured again."""

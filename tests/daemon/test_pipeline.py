@@ -391,6 +391,32 @@ def test_a_loose_wire_is_named_once_in_the_log(caplog: pytest.LogCaptureFixture)
     assert said.startswith("the values of row 3 jump while nobody touches the pad: a loose wire?")
 
 
+def test_a_touch_of_more_than_a_minute_is_asked_about_in_the_log(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    bench = Bench()
+    swaying = palm(61.0) * np.linspace(1.0, 2.0, 54, dtype=np.float32)[np.arange(61 * 54) % 54, None, None]
+    bench.feel(swaying[: 59 * 54])
+    assert caplog.messages == []
+    assert not [
+        event for event in bench.feel(swaying[59 * 54 :], nothing(3.0)) if isinstance(event, SensorEvent)
+    ]
+    begun, ended = caplog.messages
+    assert begun.startswith("a touch has gone on for a minute; if no hand is there, ")
+    assert ended.startswith(f"no longer: {begun}")
+
+
+def test_a_slow_pad_whose_values_jump_is_asked_about_within_a_minute(
+    classifier: Classifier, caplog: pytest.LogCaptureFixture
+) -> None:
+    rng = np.random.default_rng(1)
+    pipeline = Pipeline(PipelineSettings(), classifier, lambda event: None, STOPPED)
+    for number, counts in enumerate(MadePad().counts(nothing(30.0))):
+        if number > 100 and rng.random() < 2 / 3:
+            counts.reshape(-1)[rng.choice(64, 6, replace=False)] = rng.integers(0, MAX_COUNT + 1, 6)
+        pipeline.on_frame(Frame(number, 50 * number, 99.998, counts))
+    assert [message.partition(";")[0] for message in caplog.messages] == ["a touch has gone on for a minute"]
+
+
 class CountingMonitor(PadMonitor):
     """Counts how often it is told of rest."""
 
