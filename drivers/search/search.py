@@ -42,6 +42,20 @@ ADVICE = "print each frame in a line, or a row a line and an empty line after ea
 
 
 @dataclass(frozen=True)
+class _Frames:
+    """Frames of unknown rows and columns.
+
+    size: in words. rate_hz: frames a second. lines: how many lines one has, and cells a line; None if it has
+    none. fits: how many cells it may hold.
+    """
+
+    size: str
+    rate_hz: float
+    lines: Grid | None
+    fits: Sequence[int]
+
+
+@dataclass(frozen=True)
 class Survey:
     """What a pad sends.
 
@@ -72,36 +86,40 @@ class Finding:
 
 def survey(chunks: Sequence[Chunk]) -> Survey | None:
     """Describe the frames in what arrived, without knowing the grid; None if there are none."""
-    data, seconds = b"".join(chunk.data for chunk in chunks), seconds_of(chunks)
+    frames = _frames_in(b"".join(chunk.data for chunk in chunks), seconds_of(chunks))
+    if frames is None:
+        return None
+    if frames.lines and all(side in SIDES for side in frames.lines):
+        return Survey(frames.size, frames.rate_hz, frames.lines, "as its lines show")
+    for name, preset in PRESETS.items():
+        if _is_read(preset, chunks):
+            return Survey(frames.size, frames.rate_hz, (preset.rows, preset.columns), f"as {name}")
+    sides = ((rows, each // rows) for each in frames.fits for rows in SIDES if each % rows == 0)
+    grids = (each for each in sides if each[0] <= each[1] and each[1] in SIDES)
+    squarest = min(grids, key=lambda grid: grid[1] / grid[0], default=None)
+    return Survey(frames.size, frames.rate_hz, squarest, "the squarest", is_shown=False)
+
+
+def _frames_in(data: bytes, seconds: float) -> _Frames | None:
+    """Measure the frames in what arrived, without knowing the grid; None if there are none."""
     if (lines := text.lines_of(data)) is None:
         table = next(binary.tables(data), None)
         if table is None:
             return None
         length = table.shape[1] // 2
-        frame, rate_hz = f"{length} bytes a frame", len(data) / length / seconds
         left = range(length - 1, max(length - binary.MOST_AROUND, 0), -1)
         fits = [size // cell for size in left for cell in (1, 2, 4)]
-    else:
-        # Log lines among frames of one line look like separators.
-        found = text.printed(lines)
-        usual = max(found, key=lambda each: len(each.numbers) >= MIN_RATE_HZ * seconds, default=None)
-        if usual is None:
-            return None
-        count, height, width = usual.numbers.shape
-        frame, rate_hz = f"{height * width} numbers a frame", count / seconds
-        # Numbers that count from frame to frame, or from line to line, are not cells.
-        by_frame, by_line = (binary.counting(each) for each in (usual.numbers, usual.numbers.swapaxes(0, 1)))
-        shown = height, width - int((by_frame.all(axis=0) | by_line.all(axis=0)).sum())
-        if all(side in SIDES for side in shown):
-            return Survey(frame, rate_hz, shown, "as its lines show")
-        fits = [math.prod(shown)]
-    for name, preset in PRESETS.items():
-        if _is_read(preset, chunks):
-            return Survey(frame, rate_hz, (preset.rows, preset.columns), f"as {name}")
-    sides = ((rows, each // rows) for each in fits for rows in SIDES if each % rows == 0)
-    grids = (each for each in sides if each[0] <= each[1] and each[1] in SIDES)
-    squarest = min(grids, key=lambda grid: grid[1] / grid[0], default=None)
-    return Survey(frame, rate_hz, squarest, "the squarest", is_shown=False)
+        return _Frames(f"{length} bytes a frame", len(data) / length / seconds, None, fits)
+    # Log lines among frames of one line look like separators.
+    found = text.printed(lines)
+    usual = max(found, key=lambda each: len(each.numbers) >= MIN_RATE_HZ * seconds, default=None)
+    if usual is None:
+        return None
+    count, height, width = usual.numbers.shape
+    # Numbers that count from frame to frame, or from line to line, are not cells.
+    by_frame, by_line = (binary.counting(each) for each in (usual.numbers, usual.numbers.swapaxes(0, 1)))
+    shown = height, width - int((by_frame.all(axis=0) | by_line.all(axis=0)).sum())
+    return _Frames(f"{height * width} numbers a frame", count / seconds, shown, [math.prod(shown)])
 
 
 def search(chunks: Sequence[Chunk], grid: Grid | None) -> Finding:
@@ -112,11 +130,12 @@ def search(chunks: Sequence[Chunk], grid: Grid | None) -> Finding:
     if not data:
         return Finding(None, "is it the pad's port, and does the pad run?", "nothing arrives")
     saw = f"{len(data) / seconds_of(chunks):.0f} bytes/s of {looks_like(data)}"
-    seen = survey(chunks)
-    grid = grid or (seen.grid if seen and seen.is_shown else None)
+    # A survey tries every preset, which takes longer than the rest of a search.
+    if grid is None and (seen := survey(chunks)) and seen.is_shown:
+        grid = seen.grid
     best = _best(data, grid) if grid else None
     if best is None:
-        return Finding(None, _why_none_fits(data, seen, grid), saw)
+        return Finding(None, _why_none_fits(data, _frames_in(data, seconds_of(chunks)), grid), saw)
     best = replace(best, described=settled(best))
     may_come = bool(missing := objection(best))
     described = best.described if may_come else _completed(best.described, chunks)
@@ -144,14 +163,14 @@ def _fit(placed: Placement) -> tuple[float, float]:
     return round(fit, 4), -float(np.ptp(np.median(placed.values, axis=0)))
 
 
-def _why_none_fits(data: bytes, seen: Survey | None, grid: Grid | None) -> str:
+def _why_none_fits(data: bytes, frames: _Frames | None, grid: Grid | None) -> str:
     if has_text(data):
         return "print lines of numbers and nothing else"
-    if seen is None:
+    if frames is None:
         return f"no frames, or a wrong baud rate: {ADVICE}"
     if grid is None:
-        return f"{seen.frame}; say --grid ROWSxCOLUMNS"
-    return f"{seen.frame}, which do not fit {grid[0]}x{grid[1]} cells; say another --grid, or {ADVICE}"
+        return f"{frames.size}; say --grid ROWSxCOLUMNS"
+    return f"{frames.size}, which do not fit {grid[0]}x{grid[1]} cells; say another --grid, or {ADVICE}"
 
 
 def _parsed(described: PadFormat, chunks: Sequence[Chunk]) -> tuple[FrameParser, list[Frame]]:
