@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 import serial
 from rigs.doctor_rig import SETTINGS, pad_of, resting, systemd_says, the
+from rigs.formats import encode_csv_line
 from rigs.robots import Robot
-from rigs.sensor_rig import as_8x8
 
 from touchd.daemon import cli
 from touchd.daemon.config import SensorSettings, Settings
@@ -31,7 +31,7 @@ def test_the_doctor_searches_with_the_grid_that_was_told(
         return Finding(None, "press it", "text")
 
     monkeypatch.setattr("touchd.daemon.doctor.examine.find_without_asking", find)
-    with pad_of(resting(30.0), as_8x8) as port:
+    with pad_of(resting(30.0), encode_csv_line) as port:
         assert cli.main(["doctor", "--port", port.path, "--seconds", "1", *told]) == 1
     assert grids == searched
 

@@ -15,6 +15,7 @@ from rigs.line_faults import Faults
 from rigs.sensor_rig import Encode, as_8x8, silence
 
 from touchd.daemon.config import SensorSettings
+from touchd.daemon.doctor import line
 from touchd.daemon.doctor.check import Check
 from touchd.daemon.doctor.line import check_damage, check_protocol, check_rate
 from touchd.daemon.doctor.listening import Sample, listen
@@ -37,7 +38,10 @@ TOUCHED = stream_of(next(iter(RECORDINGS)))
         (silence, "no data", "reset button"),
     ],
 )
-def test_a_line_without_frames_is_recognised(encode: Encode, found: str, advice: str) -> None:
+def test_a_line_without_frames_is_recognised(
+    monkeypatch: pytest.MonkeyPatch, encode: Encode, found: str, advice: str
+) -> None:
+    monkeypatch.setattr(line, "TRY_BAUD_S", 0.1)
     check = protocol_of(pad_of(resting(60.0), encode, speed=3.0))
     assert check.verdict == "to do"
     assert found in check.found
@@ -64,7 +68,7 @@ def protocol_of(
     pad: FakePort, sensor: SensorSettings = SETTINGS.sensor, find: Callable[[], Finding] | None = None
 ) -> Check:
     with pad, open_port(pad.path, 512_000) as opened:
-        seen = listen(opened, parser_of(sensor.described), 1.0)
+        seen = listen(opened, parser_of(sensor.described), 1.0, start_s=1.5)
         return check_protocol(seen, sensor, opened, find or (lambda: search(seen.chunks, None)))
 
 
@@ -146,6 +150,6 @@ def test_jitter_by_the_pads_clock_is_reported_only_where_it_has_one(has_clock: b
         pad_of(resting(), partial(encode_frame, described)) as pad,
         open_port(pad.path, 512_000) as opened,
     ):
-        checked = check_rate(listen(opened, parser_of(described), 3.0))
+        checked = check_rate(listen(opened, parser_of(described), 2.0))
     assert ("by the pad's clock" in checked.found) == has_clock
     assert "ms on arrival" in checked.found

@@ -64,7 +64,8 @@ class Found:
 def test_the_pads_port_and_baud_rate_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(init, "USUAL_BAUDS", (115_200, 57_600))
     monkeypatch.setattr(init, "DEFAULT_PORT", "none")
-    with pad_read_too_fast(STREAM.counts, termios.B57600, PRESETS["fabric-grid"], pace=1.0) as pad:
+    monkeypatch.setattr(hand, "LISTEN_S", 4.0)
+    with pad_read_too_fast(STREAM.counts, termios.B57600, PRESETS["fabric-grid"], pace=2.0) as pad:
         monkeypatch.setattr(init, "comports", lambda: [Found("/dev/null"), Found(pad.path)])
         assert write() == 0
     settings = load(FILE)
@@ -94,7 +95,7 @@ def test_a_grid_that_is_none_is_refused(typed: str, capsys: pytest.CaptureFixtur
 def test_without_a_terminal_the_grid_has_to_be_told(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(hand, "LISTEN_S", 2.0)
+    monkeypatch.setattr(hand, "LISTEN_S", 1.0)
     printed = PadFormat(framing="text", rows=12, columns=10)
     with FakePort(STREAM, encoder_for(SensorSettings(format=printed)), loop=True) as pad:
         assert write("--port", pad.path) == 1
@@ -103,13 +104,14 @@ def test_without_a_terminal_the_grid_has_to_be_told(
 
 
 @needs_third_study
-def test_a_coarse_pad_is_found_told_its_grid() -> None:
+def test_a_coarse_pad_is_found_told_its_grid(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hand, "LISTEN_S", 4.0)
     touches = [each for _, touched, each in third_study("S15") if touched]
     # Somebody touches the pad throughout this stream, so any eight seconds of it prove the format.
     played = touches[14]
     stream = Stream(played[:, 1:], played[:, 0] - played[0, 0], ())
     with FakePort(
-        stream, lambda cells, ms: f"{ms},{','.join(map(str, cells))}\r\n".encode(), loop=True
+        stream, lambda cells, ms: f"{ms},{','.join(map(str, cells))}\r\n".encode(), speed=2.0, loop=True
     ) as pad:
         assert write("--port", pad.path, "--grid", "6x6") == 0
     found = load(FILE).sensor.described
@@ -119,7 +121,7 @@ def test_a_coarse_pad_is_found_told_its_grid() -> None:
 def test_a_pad_that_nobody_presses_is_refused_in_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(hand, "LISTEN_S", 3.0)
+    monkeypatch.setattr(hand, "LISTEN_S", 1.5)
     monkeypatch.setattr(hand, "LONGER_S", 0.1)
     rest = np.random.default_rng(0).integers(0, 4, (4000, 8, 8)).astype(np.uint16)
     printed = PadFormat(framing="text", rows=8, columns=8)
@@ -182,7 +184,8 @@ def test_a_full_disk_leaves_no_file(monkeypatch: pytest.MonkeyPatch) -> None:
     assert os.listdir() == []
 
 
-def test_a_pad_that_must_be_polled_is_found() -> None:
+def test_a_pad_that_must_be_polled_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("touchd.drivers.search.listen.FIRST_BYTE_S", 0.5)
     master, slave = pty.openpty()
     tty.setraw(slave)
     described = PRESETS["fsr-array"]

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
+from typing import ParamSpec
 
 import numpy as np
 import pytest
@@ -50,6 +51,9 @@ def test_up_comes_first_then_every_intact_frame_once(faults: Faults, lost: list[
     assert [frame.number for frame in frames] == list(range(len(intact)))
 
 
+P = ParamSpec("P")
+
+
 def without_clock(counts: Counts, sensor_ms: int) -> bytes:
     return encode_csv_line(counts, sensor_ms).partition(b",")[2]
 
@@ -59,15 +63,15 @@ def delays_s(frames: list[Frame], port: FakePort) -> NDArray[np.float64]:
     return np.array([frame.host_s for frame in frames]) - port.sent_s[-len(frames) :]
 
 
-def once_in_three(test: Callable[[], None]) -> Callable[[], None]:
+def once_in_three(test: Callable[P, None]) -> Callable[P, None]:
     """Retry a timing test twice: another program may delay a reader once, but not three times running."""
 
     @functools.wraps(test)
-    def repeated() -> None:
+    def repeated(*arguments: P.args, **named: P.kwargs) -> None:
         for _ in range(2):
             with suppress(AssertionError):
-                return test()
-        test()
+                return test(*arguments, **named)
+        test(*arguments, **named)
 
     return repeated
 
@@ -100,18 +104,19 @@ def test_frames_after_a_stall_keep_their_true_arrival() -> None:
 
 
 @pytest.mark.parametrize(
-    ("encode", "parser", "together", "reads"),
+    ("encode", "parser", "together", "read"),
     [
-        (encode_fabric_grid, FabricGrid(), 4, range(10, 16)),
-        (encode_fabric_grid, FabricGrid(), 8, range(5, 9)),
-        (encode_fabric_grid, FabricGrid(), 1, range(20, 41)),
-        (encode_csv_line, parser_of(PRESETS["csv"]), 4, range(10, 16)),
-        (without_clock, parser_of(PadFormat(framing="text", rows=10, columns=10, crop=1)), 8, range(20, 41)),
+        (encode_fabric_grid, FabricGrid(), 4, 4),
+        (encode_fabric_grid, FabricGrid(), 8, 8),
+        (encode_fabric_grid, FabricGrid(), 1, 1),
+        (encode_csv_line, parser_of(PRESETS["csv"]), 4, 4),
+        (without_clock, parser_of(PadFormat(framing="text", rows=10, columns=10, crop=1)), 8, 1),
     ],
     ids=["binary", "quiet", "needed", "text", "without a clock"],
 )
+@once_in_three
 def test_frames_that_nobody_needs_are_read_together(
-    encode: Encode, parser: FrameParser, together: int, reads: range
+    encode: Encode, parser: FrameParser, together: int, read: int
 ) -> None:
     queue = FrameQueue()
     with FakePort(stream_of(200), encode) as port:
@@ -119,19 +124,20 @@ def test_frames_that_nobody_needs_are_read_together(
         sensor.frames_together = together
         sensor.start()
         # The clock is known after a second and a half.
-        frames = next_frames(queue, 160)[-40:]
+        frames = next_frames(queue, 145)[-50:]
         sensor.stop()
-    assert [later.number - frame.number for frame, later in pairwise(frames)] == [1] * 39
-    assert len({frame.host_s for frame in frames}) in reads
+    assert [later.number - frame.number for frame, later in pairwise(frames)] == [1] * 49
+    # A busy machine delays some of the reads, not most.
+    assert np.median(list(Counter(frame.host_s for frame in frames).values())) == read
 
 
 def test_a_fast_pads_frames_do_not_fill_its_port_meanwhile() -> None:
     queue = FrameQueue()
-    with FakePort(stream_of(800), encode_fabric_grid, speed=5.0) as port:
+    with FakePort(stream_of(650), encode_fabric_grid, speed=5.0) as port:
         sensor = Sensor(port.path, BAUD, FabricGrid(), queue)
         sensor.frames_together = 8
         sensor.start()
-        arrivals_s = [frame.host_s for frame in next_frames(queue, 800)[500:]]
+        arrivals_s = [frame.host_s for frame in next_frames(queue, 650)[500:]]
         sensor.stop()
     # Linux keeps 4096 bytes, which are 19 frames.
     assert max(Counter(arrivals_s).values()) < 17
