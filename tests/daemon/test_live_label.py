@@ -21,6 +21,7 @@ from websockets.sync.client import connect
 from touchd.daemon.config import LiveSettings, Settings
 from touchd.daemon.events import Event, Label, TouchBegan, TouchEnded
 from touchd.daemon.labels import ENOUGH, make_labeller
+from touchd.daemon.live import server
 from touchd.daemon.live.label import is_here
 from touchd.daemon.live.server import LiveServer, open_live_page
 from touchd.daemon.parts import load_model
@@ -58,7 +59,9 @@ class Labelled:
 
 
 @pytest.fixture
-def labelled() -> Iterator[Labelled]:
+def labelled(monkeypatch: pytest.MonkeyPatch) -> Iterator[Labelled]:
+    # Without frames, events are shown with the next status.
+    monkeypatch.setattr(server, "STATUS_EVERY_S", 0.05)
     settings = Settings(live=LiveSettings(port=0, label=True))
     events: list[Event] = []
 

@@ -25,6 +25,7 @@ from selenium.webdriver.common.by import By
 
 from touchd.daemon.config import LiveSettings, PadSettings, Words
 from touchd.daemon.events import Prediction, RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
+from touchd.daemon.live import server
 from touchd.daemon.words import name_of, vocabulary
 from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.recording import Stream, ideal_clock_ms
@@ -456,8 +457,10 @@ def put_a_touch(served: Served, gestures: list[str], number: int = 1) -> None:
 
 
 @pytest.fixture
-def worded(chrome: Chrome) -> Iterator[Served]:
+def worded(chrome: Chrome, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
     """A page with a robot and the longest words, at the end of a touch."""
+    # Without a viewer, events are shown with the next status.
+    monkeypatch.setattr(server, "STATUS_EVERY_S", 0.05)
     words = {gesture: Words(name=word, phrase=word) for gesture, word in LONG_WORDS.items()}
     with serving(words=words, robot=RobotSettings(url="tcp://127.0.0.1")) as served:
         served.sink.put(SensorEvent(state="up", time=TIME))

@@ -184,10 +184,10 @@ class FakePad(NamedTuple):
         self.chrome.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
 
     def pressed(self) -> NDArray[np.float64]:
-        """Return the mean of the next half second of frames, once a press has settled, (8, 8)."""
-        next_frames(self.frames, 40)
+        """Return the mean of the next quarter of a second of frames, once a press has settled, (8, 8)."""
+        next_frames(self.frames, 30)
         self.frames.take_all()
-        return np.mean([frame.pressure for frame in next_frames(self.frames, 27)], axis=0)
+        return np.mean([frame.pressure for frame in next_frames(self.frames, 14)], axis=0)
 
 
 @pytest.fixture(scope="module")
