@@ -48,34 +48,38 @@ TRAINING = (
     "test_paper.py",
 )
 # These share a browser, which takes a processor's seconds to start.
-BROWSING = ("test_live_page.py", "test_live_touch.py")
-# The slowest files, slowest first: if they started last, one worker would finish late.
+BROWSING = ("test_live_page.py", "test_live_touch.py", "test_live_label.py")
+# The slowest files, slowest first: if they started last, one worker would finish late. Files that compute and
+# files that mostly wait take turns, so that the workers seldom all wait.
 LONGEST = (
-    *TRAINING,
-    "test_fake_pad.py",
-    "test_init.py",
-    "test_hostile_peers.py",
     *BROWSING,
+    *TRAINING,
+    "test_init.py",
     "test_search.py",
-    "test_end_to_end.py",
-    "test_scores.py",
-    "test_streams.py",
-    "test_first_day.py",
-    "test_pipeline.py",
-    "test_doctor_line.py",
-    "test_cli.py",
-    "test_sessions.py",
-    "test_stability.py",
     "test_sensor_faults.py",
+    "test_foreign_pads.py",
+    "test_bridge_mqtt.py",
+    "test_recorded_streams.py",
+    "test_sensor.py",
+    "test_hostile_peers.py",
+    "test_doctor_line.py",
+    "test_end_to_end.py",
+    "test_record_session.py",
+    "test_scores.py",
     "test_bridges.py",
-    "test_robot_faults.py",
     "test_monitor.py",
+    "test_fake_pad.py",
+    "test_first_day.py",
     "test_other_lines.py",
-    "test_pointers.py",
-    "test_pads.py",
-    "test_live.py",
     "test_service.py",
-    "test_install.py",
+    "test_robot_faults.py",
+    "test_cli.py",
+    "test_firmware.py",
+    "test_pipeline.py",
+    "test_doctor.py",
+    "test_board_restarts.py",
+    "test_pads.py",
+    "test_pad_formats.py",
 )
 
 

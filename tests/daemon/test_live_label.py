@@ -74,8 +74,10 @@ def labelled(monkeypatch: pytest.MonkeyPatch) -> Iterator[Labelled]:
     assert page is not None
     page.start()
     rig = Labelled(page, events)
-    rig.touch(1)
     with connect(rig.stream) as viewer:
+        # The page's state: from now on, events are shown here too.
+        viewer.recv(timeout=WITHIN_S)
+        rig.touch(1)
         wait_for(lambda: json.loads(viewer.recv(timeout=WITHIN_S)).get("type") == "touch_ended")
     yield rig
     page.stop(1.0)

@@ -131,6 +131,7 @@ def test_frames_that_nobody_needs_are_read_together(
     assert np.median(list(Counter(frame.host_s for frame in frames).values())) == read
 
 
+@once_in_three
 def test_a_fast_pads_frames_do_not_fill_its_port_meanwhile() -> None:
     queue = FrameQueue()
     with FakePort(stream_of(650), encode_fabric_grid, speed=5.0) as port:
