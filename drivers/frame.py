@@ -27,14 +27,12 @@ PadState: TypeAlias = Literal["up", "degraded", "down"]
 class Frame(msgspec.Struct, frozen=True, eq=False):
     """One complete scan of the pad.
 
-    number: frames delivered since the sensor was opened, from 0.
     sensor_ms: the sensor's own clock in milliseconds (uint32, wraps after 49.7 days); after a restart of the
     board it goes on.
     host_s: `time.monotonic()` when the frame's last byte arrived, in seconds.
     pressure: (8, 8) uint16 counts, 0 (no pressure) to 1023, read-only.
     """
 
-    number: int
     sensor_ms: int
     host_s: float
     pressure: Counts

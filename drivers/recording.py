@@ -201,8 +201,8 @@ def on_grid(recording: Recording) -> Recording:
     """
     ring = Ring(capacity=1)
     stretches: list[list[NDArray[np.float32]]] = []
-    for number, (scan, ms) in enumerate(zip(recording.counts, recording.sensor_ms.tolist(), strict=True)):
-        for laid in ring.push(Frame(number, ms % CLOCK_MODULUS, 0.0, scan.astype(np.uint16))):
+    for scan, ms in zip(recording.counts, recording.sensor_ms.tolist(), strict=True):
+        for laid in ring.push(Frame(ms % CLOCK_MODULUS, 0.0, scan.astype(np.uint16))):
             if laid.restarted:
                 stretches.append([])
             stretches[-1].append(laid.pressure)

@@ -45,7 +45,6 @@ class FrameLine(msgspec.Struct, frozen=True, tag_field="type", tag="frame"):
     """A frame of a pad, as the daemon sends it to the process."""
 
     pad: str
-    number: int
     sensor_ms: int
     host_s: float
     pressure: list[int]
@@ -90,7 +89,7 @@ class ApartBridge(ConnectedBridge):
 
     def send_frame(self, frame: Frame, pad: str) -> None:
         numbers = frame.pressure.ravel().tolist()
-        self._write(msgspec.json.encode(FrameLine(pad, frame.number, frame.sensor_ms, frame.host_s, numbers)))
+        self._write(msgspec.json.encode(FrameLine(pad, frame.sensor_ms, frame.host_s, numbers)))
 
     def hang_up(self) -> None:
         if self._process is not None and self._process.stdin is not None:
@@ -160,7 +159,7 @@ def main(arguments: Sequence[str]) -> int:
         item: Any = msgspec.json.decode(line, type=Event | FrameLine)
         if isinstance(item, FrameLine):
             pressure = np.array(item.pressure, np.uint16).reshape(ROWS, COLUMNS)
-            bridges[item.pad].put_frame(Frame(item.number, item.sensor_ms, item.host_s, pressure), item.pad)
+            bridges[item.pad].put_frame(Frame(item.sensor_ms, item.host_s, pressure), item.pad)
         else:
             for bridge in bridges.values():
                 bridge.put(item)

@@ -114,7 +114,7 @@ def play(stream: Stream, pipeline: Pipeline, at: Callable[[int], None] = lambda 
     """Send a whole stream through a pipeline at full speed. at: called with each frame's number first."""
     for number, (sensor_ms, counts) in enumerate(zip(stream.sensor_ms.tolist(), stream.counts, strict=True)):
         at(number)
-        pipeline.on_frame(Frame(number, sensor_ms, time.monotonic(), counts))
+        pipeline.on_frame(Frame(sensor_ms, time.monotonic(), counts))
     pipeline.flush()
 
 

@@ -1,6 +1,5 @@
 """A simulated pad that viewers of the live page touch, and a simulated hand when nobody does."""
 
-import itertools
 import json
 import re
 import socket
@@ -77,7 +76,6 @@ class TouchPage:
     def __init__(self, listening: socket.socket, settings: LiveSettings, pad: Scene) -> None:
         self.touching = Touching()
         self._server = LiveServer(listening, settings, {DEFAULT_PAD: pad}, self.touching)
-        self._numbers = itertools.count()
         self._stopping = threading.Event()
 
     def start(self) -> None:
@@ -91,7 +89,7 @@ class TouchPage:
         self._server.put(event)
 
     def show_frame(self, counts: Counts, sensor_ms: int) -> None:
-        self._server.put_frame(Frame(next(self._numbers), sensor_ms, time.monotonic(), counts), 0)
+        self._server.put_frame(Frame(sensor_ms, time.monotonic(), counts), 0)
 
     def follow(self, log: Path) -> None:
         """Show the live predictions of a daemon with its own page, whose address is in its log."""

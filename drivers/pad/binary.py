@@ -15,8 +15,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from touchd.drivers.frame import Frame
 from touchd.drivers.pad.format import PadFormat, Values
-from touchd.drivers.pad.framing import Damage, Reading
+from touchd.drivers.pad.framing import Damage
 from touchd.drivers.pad.parser import FrameParser
 
 # A header this long hardly ever occurs among cells.
@@ -79,18 +80,18 @@ class BinaryFrames(FrameParser):
         self._buffer = b""
         self._asked, self._asked_s = True, now_s
 
-    def _parse(self, data: bytes, host_s: float) -> list[Reading]:
+    def _parse(self, data: bytes, host_s: float) -> list[Frame]:
         self._buffer += data
-        readings: list[Reading] = []
+        frames: list[Frame] = []
         while (
             self._position < len(self._buffer)
             and self._seek_header()
             and (taken := self._take(host_s)) is not None
         ):
-            readings += taken
+            frames += taken
         self._buffer = self._buffer[self._position :]
         self._position = 0
-        return readings
+        return frames
 
     def reset(self) -> None:
         super().reset()
@@ -152,8 +153,8 @@ class BinaryFrames(FrameParser):
         self._drop(len(self._buffer) - self._position - begun)
         return False
 
-    def _take(self, host_s: float) -> list[Reading] | None:
-        """Judge the window at the position; return the readings to deliver, None if bytes are missing."""
+    def _take(self, host_s: float) -> list[Frame] | None:
+        """Judge the window at the position; return the frames to deliver, None if bytes are missing."""
         window = self._buffer[self._position : self._position + self._size]
         if len(window) < self._size:
             return None
@@ -228,21 +229,21 @@ class Replies(BinaryFrames):
         super().ask(now_s)
         self._has_stray = False
 
-    def _parse(self, data: bytes, host_s: float) -> list[Reading]:
+    def _parse(self, data: bytes, host_s: float) -> list[Frame]:
         wanted = self._size - len(self._buffer) if self._asked else 0
         self._asked = len(data) < wanted
-        readings = super()._parse(data[:wanted], host_s)
+        frames = super()._parse(data[:wanted], host_s)
         if unsolicited := len(data[wanted:]):
             self.counts.bytes_dropped += unsolicited
             self.counts.bad_framing += not self._has_stray
             self._has_stray = True
-        return readings
+        return frames
 
 
 class Datagrams(BinaryFrames):
     """Parser for a pad that sends bare cells over UDP: each datagram is a frame, or is refused."""
 
-    def _parse(self, data: bytes, host_s: float) -> list[Reading]:
+    def _parse(self, data: bytes, host_s: float) -> list[Frame]:
         if len(data) != self._size:
             if data:
                 self.counts.refuse("bad_framing", len(data))

@@ -27,8 +27,10 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
-from touchd.drivers.frame import CLOCK_MODULUS, Counts
-from touchd.drivers.pad.framing import ProtocolCounts, Reading
+from msgspec.structs import replace
+
+from touchd.drivers.frame import CLOCK_MODULUS, Counts, Frame
+from touchd.drivers.pad.framing import ProtocolCounts
 
 # The units in which a clock may count, in milliseconds.
 UNITS_MS = (1.0, 0.001, 1000.0)
@@ -84,21 +86,21 @@ class FrameClock:
         """Whether a frame with that clock agrees with the clock followed so far, if it is used."""
         return self._unit_ms is None or self._check.is_on_time(_as_ms(stamp, self._unit_ms))
 
-    def judge(self, stamp: float | None, host_s: float, pressure: Counts) -> list[Reading]:
+    def judge(self, stamp: float | None, host_s: float, pressure: Counts) -> list[Frame]:
         """Return what can be delivered now: nothing, this frame, or this frame after held ones it confirms.
 
         stamp: the frame's clock as sent, None for a pad without one.
         """
         if stamp is None or not math.isfinite(stamp * max(UNITS_MS)):
-            return [Reading(self._arrivals.stamp_ms(host_s), host_s, pressure)]
+            return [Frame(self._arrivals.stamp_ms(host_s), host_s, pressure)]
         if not self._is_chosen:
             self._look(stamp, host_s)
         if not self._is_chosen and stamp % 1:
             # A clock with a fraction does not count milliseconds.
             self._unit_ms = None
         if self._unit_ms is None:
-            return [Reading(self._arrivals.stamp_ms(host_s), host_s, pressure)]
-        delivered = self._check.judge(Reading(_as_ms(stamp, self._unit_ms), host_s, pressure))
+            return [Frame(self._arrivals.stamp_ms(host_s), host_s, pressure)]
+        delivered = self._check.judge(Frame(_as_ms(stamp, self._unit_ms), host_s, pressure))
         if self._window is not None:
             self._window.delivered += len(delivered)
         return delivered
@@ -174,7 +176,7 @@ class ClockCheck:
 
     def __init__(self, counts: ProtocolCounts) -> None:
         self._counts = counts
-        self._held: list[Reading] = []
+        self._held: list[Frame] = []
         # When the clock that is followed was first seen.
         self._since_s = 0.0
         self._jumped_s = -math.inf
@@ -182,7 +184,7 @@ class ClockCheck:
 
     def reset(self) -> None:
         """Forget the clock: the port was reopened, and the sensor may have restarted."""
-        self._last: Reading | None = None
+        self._last: Frame | None = None
         # What to add to the clock after restarts.
         self._ahead_ms = 0
         self._refuse_held()
@@ -191,12 +193,12 @@ class ClockCheck:
         """Whether a frame of that time agrees with the clock followed so far."""
         return self._last is not None and _steps_on(self._last.sensor_ms, sensor_ms)
 
-    def judge(self, reading: Reading) -> list[Reading]:
-        """Return what can be delivered now: nothing, this reading, or held ones it confirms and this."""
-        now_ms = reading.sensor_ms
+    def judge(self, frame: Frame) -> list[Frame]:
+        """Return what can be delivered now: nothing, this frame, or held ones it confirms and this."""
+        now_ms = frame.sensor_ms
         if self.is_on_time(now_ms):
             self._refuse_held()
-            return self._deliver([reading])
+            return self._deliver([frame])
         is_last = self._last is not None and now_ms == self._last.sensor_ms
         if is_last or any(now_ms == held.sensor_ms for held in self._held):
             self._counts.duplicates += 1
@@ -206,14 +208,14 @@ class ClockCheck:
             before = self._held.pop(places[-1])
             self._refuse_held()
             self._follow(before)
-            return self._deliver([before, reading])
-        self._held.append(reading)
+            return self._deliver([before, frame])
+        self._held.append(frame)
         if len(self._held) > MAX_HELD:
             del self._held[0]
             self._counts.bad_time += 1
         return []
 
-    def _follow(self, first: Reading) -> None:
+    def _follow(self, first: Frame) -> None:
         """Follow another clock from this frame on; after a restart, date it by arrival."""
         last, since_s, self._since_s = self._last, self._since_s, first.host_s
         if last is None:
@@ -225,11 +227,11 @@ class ClockCheck:
             self._ahead_ms += last.sensor_ms + later_ms - first.sensor_ms
             self._counts.restarted()
 
-    def _deliver(self, run: list[Reading]) -> list[Reading]:
+    def _deliver(self, run: list[Frame]) -> list[Frame]:
         self._last = run[-1]
         if not self._ahead_ms:
             return run
-        return [one._replace(sensor_ms=(one.sensor_ms + self._ahead_ms) % CLOCK_MODULUS) for one in run]
+        return [replace(one, sensor_ms=(one.sensor_ms + self._ahead_ms) % CLOCK_MODULUS) for one in run]
 
     def _refuse_held(self) -> None:
         self._counts.bad_time += len(self._held)

@@ -1,9 +1,7 @@
-"""What every parser shares: the count of what was refused, and frames before their clock is judged."""
+"""What every parser shares: the count of what it delivered and refused."""
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
-
-from touchd.drivers.frame import Counts
+from typing import Literal
 
 # Signs of a restart with fewer frames between them are one: register dump, boot log, the clock's step back.
 ONE_RESTART_FRAMES = 54
@@ -49,11 +47,3 @@ class ProtocolCounts:
         if self.frames - self.restarted_at >= ONE_RESTART_FRAMES:
             self.restarts += 1
             self.restarted_at = self.frames
-
-
-class Reading(NamedTuple):
-    """A well-formed frame whose clock is still to be judged; fields as in `Frame`."""
-
-    sensor_ms: int
-    host_s: float
-    pressure: Counts

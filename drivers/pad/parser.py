@@ -8,7 +8,7 @@ import numpy as np
 from touchd.drivers.frame import Frame
 from touchd.drivers.pad.clock import FrameClock
 from touchd.drivers.pad.format import PadFormat, Values, layout_of
-from touchd.drivers.pad.framing import ProtocolCounts, Reading
+from touchd.drivers.pad.framing import ProtocolCounts
 
 # What an ESP32 or ESP8266 prints when it crashes and starts.
 BOOT_LOG = (b"Guru Meditation", b"rst:0x", b"rst cause", b"Brownout detector", b"ESP-ROM:")
@@ -41,23 +41,22 @@ class FrameParser(ABC):
         for mark in BOOT_LOG:
             if mark in latest:
                 self.counts.restarted()
-        readings = self._parse(data, host_s)
-        first = self.counts.frames
-        self.counts.frames += len(readings)
-        return [Frame(number, *reading) for number, reading in enumerate(readings, first)]
+        frames = self._parse(data, host_s)
+        self.counts.frames += len(frames)
+        return frames
 
     @abstractmethod
-    def _parse(self, data: bytes, host_s: float) -> list[Reading]:
+    def _parse(self, data: bytes, host_s: float) -> list[Frame]:
         """Take the next bytes; return the accepted frames that they completed."""
 
     def reset(self) -> None:
-        """Forget half a frame and the clock after a reconnect; counts and frame numbers go on."""
+        """Forget half a frame and the clock after a reconnect; counts go on."""
         self.counts.bytes_dropped += len(self._buffer)
         self._buffer = self._tail = b""
         self.clock.reset()
 
-    def _judge(self, stamp: float | None, host_s: float, values: Values, highest: float) -> list[Reading]:
-        """Return the readings that a well-formed frame confirms.
+    def _judge(self, stamp: float | None, host_s: float, values: Values, highest: float) -> list[Frame]:
+        """Return the frames that a well-formed one confirms, itself included.
 
         stamp: its clock as sent, None for a pad without one. values: (cells,) as sent; those out of range are
         cut. highest: of the values.

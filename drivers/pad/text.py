@@ -14,8 +14,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from touchd.drivers.frame import Frame
 from touchd.drivers.pad.format import PadFormat
-from touchd.drivers.pad.framing import Reading
 from touchd.drivers.pad.parser import FrameParser
 
 # Room for a number with its label, separators and alignment, and for words beside the numbers of a line.
@@ -94,38 +94,38 @@ class TextFrames(FrameParser):
         self._run_width = 0
         self._run_leads: Sequence[float] = ()
 
-    def _parse(self, data: bytes, host_s: float) -> list[Reading]:
+    def _parse(self, data: bytes, host_s: float) -> list[Frame]:
         # Where a line begins, a CR belongs to the LF before it.
         text = (self._buffer + data).lstrip(b"\r")
         ended = ended_at(text)
         self._buffer = text[ended:]
-        readings: list[Reading] = []
+        frames: list[Frame] = []
         for line in lines_in(text[:ended]):
             if self._skipping:
                 self._skipping = False
                 self.counts.bytes_dropped += len(line) + 1
             elif len(line) > self._longest:
-                readings += self._give_up(len(line) + 1)
+                frames += self._give_up(len(line) + 1)
             else:
-                readings += self._line(line, host_s)
+                frames += self._line(line, host_s)
         if len(self._buffer) > self._longest:
             if self._skipping:
                 self.counts.bytes_dropped += len(self._buffer)
             else:
-                readings += self._give_up(len(self._buffer))
+                frames += self._give_up(len(self._buffer))
             self._buffer, self._skipping = b"", True
-        return readings
+        return frames
 
     def reset(self) -> None:
         super().reset()
         self._begin()
 
-    def _give_up(self, length: int) -> list[Reading]:
-        """Refuse a line that is too long to be one of the pad's."""
+    def _give_up(self, length: int) -> list[Frame]:
+        """Refuse a line that cannot be one of the pad's."""
         self.counts.refuse("bad_framing", length)
         return self._end_run()
 
-    def _line(self, line: bytes, host_s: float) -> list[Reading]:
+    def _line(self, line: bytes, host_s: float) -> list[Frame]:
         numbers, label = numbers_in(line)
         described = self.format
         count = len(numbers)
@@ -136,8 +136,7 @@ class TextFrames(FrameParser):
         if self._end:
             return self._line_before_end(line, numbers, host_s)
         if 2 * count > described.cells + self._around:
-            self.counts.refuse("bad_framing", len(line) + 1)
-            return self._end_run()
+            return self._give_up(len(line) + 1)
         leads = numbers[: described.skip] if label is None else [label, *numbers[: described.skip]]
         falls = any(now < before for now, before in zip(leads, self._run_leads, strict=False))
         ended = self._end_run() if count != self._run_width or falls else []
@@ -147,7 +146,7 @@ class TextFrames(FrameParser):
             self.counts.bytes_dropped += len(line) + 1 if line else 0
         return ended
 
-    def _line_before_end(self, line: bytes, numbers: list[float], host_s: float) -> list[Reading]:
+    def _line_before_end(self, line: bytes, numbers: list[float], host_s: float) -> list[Frame]:
         """Take a line of a frame that ends with a text; lines without numbers may stand inside it."""
         if numbers:
             self._run_width = self._run_width or len(numbers)
@@ -163,7 +162,7 @@ class TextFrames(FrameParser):
         if len(self._run) <= self.format.cells:
             self._run += numbers[self.format.skip : len(numbers) - self.format.tail]
 
-    def _end_run(self) -> list[Reading]:
+    def _end_run(self) -> list[Frame]:
         """Close the run of lines before this place; return the frame in it, if it is exactly one."""
         cells, host_s = self._run, self._run_s
         if not cells:
@@ -177,5 +176,5 @@ class TextFrames(FrameParser):
             self.counts.refuse("bad_framing")
         return []
 
-    def _frame(self, cells: list[float], skipped: Sequence[float], host_s: float) -> list[Reading]:
+    def _frame(self, cells: list[float], skipped: Sequence[float], host_s: float) -> list[Frame]:
         return self._judge(skipped[0] if skipped else None, host_s, np.array(cells), max(cells))

@@ -12,7 +12,7 @@ from touchd.model.classifier import Classifier
 def frames_of(counts: Counts) -> Iterator[Frame]:
     """Yield counts (T, 8, 8) as frames of a pad with an ideal clock."""
     for number, ms in enumerate(ideal_clock_ms(len(counts)).tolist()):
-        yield Frame(number, ms, ms / 1000.0, counts[number])
+        yield Frame(ms, ms / 1000.0, counts[number])
 
 
 def play(frames: Iterable[Frame], model: Classifier, flush: bool = False) -> list[Event]:

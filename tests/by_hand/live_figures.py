@@ -70,7 +70,7 @@ def loop_cost_us(live: LiveSettings | None, seconds: float) -> list[float]:
     took: list[float] = []
     for number in range(round(seconds * FRAME_RATE_HZ)):
         time.sleep(1 / FRAME_RATE_HZ)
-        frame = Frame(number, 18 * number, 0.0, counts)
+        frame = Frame(18 * number, 0.0, counts)
         began_s = time.perf_counter()
         sink.put_frame(frame, 0)
         took.append(1e6 * (time.perf_counter() - began_s))

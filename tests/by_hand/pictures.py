@@ -122,8 +122,8 @@ def play(
     """Hand over all events and frames up to the pictured moment, without waiting; return the last frame."""
     stream = splice(read_recordings(DEMO_RECORDING))
     played = Played(settings, put, put_live)
-    for number, (sensor_ms, counts) in enumerate(zip(stream.sensor_ms.tolist(), stream.counts, strict=True)):
-        frame = Frame(number, sensor_ms, sensor_ms / 1000, counts)
+    for sensor_ms, counts in zip(stream.sensor_ms.tolist(), stream.counts, strict=True):
+        frame = Frame(sensor_ms, sensor_ms / 1000, counts)
         put_frame(frame)
         played.on_frame(frame)
         if sensor_ms - played.began_ms.get(TOUCH, sensor_ms) >= 1000 * AFTER_S:
@@ -190,7 +190,7 @@ def film_page(path: Path, size: tuple[int, int], scheme: str) -> None:
             for _ in range(FRAMES_A_MOVE):
                 sensor_ms = round(1000 * number / FRAME_RATE_HZ)
                 counts = fabric.read(hands.frame(touching.pointers()))
-                frame = Frame(number, sensor_ms, sensor_ms / 1000, counts)
+                frame = Frame(sensor_ms, sensor_ms / 1000, counts)
                 page.put_frame(frame, 0)
                 played.on_frame(frame)
                 number += 1

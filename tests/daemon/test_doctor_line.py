@@ -122,7 +122,7 @@ def test_lost_frames_are_counted() -> None:
 
 def test_a_wrong_clock_is_distinguished_from_a_slow_pad() -> None:
     def checked(step_ms: float, step_s: float, late_s: float = 0.0) -> Check:
-        frames = [Frame(i, round(step_ms * i), step_s * i, np.zeros((8, 8), np.uint16)) for i in range(400)]
+        frames = [Frame(round(step_ms * i), step_s * i, np.zeros((8, 8), np.uint16)) for i in range(400)]
         frames[-1] = replace(frames[-1], host_s=frames[-1].host_s + late_s)
         return check_rate(Sample(tuple(frames), 0, (), frames[-1].host_s, "", has_clock=True))
 

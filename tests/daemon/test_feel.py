@@ -33,7 +33,7 @@ def feel_of(frames: list[NDArray[np.float64]], size_mm: tuple[float, float] | No
     pipeline = Pipeline(PipelineSettings(size_mm=size_mm), Scripted(), events.append)
     for number, pressure in enumerate([*rest, *frames, *rest]):
         counts = np.clip(pressure + rng.integers(10, 13, (8, 8)), 0, 1023).astype(np.uint16)
-        pipeline.on_frame(Frame(number, round(number * 1000 / RATE_HZ), time.monotonic(), counts))
+        pipeline.on_frame(Frame(round(number * 1000 / RATE_HZ), time.monotonic(), counts))
     (ended,) = [event for event in events if isinstance(event, TouchEnded)]
     assert ended.feel is not None
     assert all(event.feel is not None for event in events if isinstance(event, Prediction))

@@ -43,7 +43,7 @@ def sound_pad(seconds: int) -> Counts:
 
 def frames_of(counts: Counts, clock_ms: Iterable[int] | None = None) -> list[Frame]:
     clock_ms = ideal_clock_ms(len(counts)).tolist() if clock_ms is None else clock_ms
-    return [Frame(0, ms, ms / 1000, pressure) for ms, pressure in zip(clock_ms, counts, strict=True)]
+    return [Frame(ms, ms / 1000, pressure) for ms, pressure in zip(clock_ms, counts, strict=True)]
 
 
 def faults_in(counts: Counts, clock_ms: Iterable[int] | None = None) -> list[tuple[float, str, bool]]:
@@ -304,11 +304,11 @@ def watch(parser: FrameParser, packets: list[bytes], where: str = "COM3", interv
     """After a first frame, spread the packets over some check intervals."""
     monitor = PadMonitor(parser=parser, where=where)
     still = np.zeros((8, 8), np.uint16)
-    monitor.on_frame(Frame(0, 0, 0.0, still), restarted=False)
+    monitor.on_frame(Frame(0, 0.0, still), restarted=False)
     for number, packet in enumerate(packets, 1):
         now_s = COMPARE_S * intervals * number / len(packets)
         parser.feed(packet, now_s)
-        monitor.on_frame(Frame(0, round(1000 * now_s), now_s, still), restarted=False)
+        monitor.on_frame(Frame(round(1000 * now_s), now_s, still), restarted=False)
 
 
 def pressed(counts: int, numbers: range) -> list[bytes]:
@@ -388,7 +388,7 @@ def test_a_pad_that_often_restarts_is_degraded_until_it_is_steady(every_s: float
     for tenth in range(1400):
         if tenth in (10, 10 + 10 * every_s, 10 + 20 * every_s):
             parser.counts.restarts += 1
-        states.append(monitor.on_frame(Frame(0, 100 * tenth, tenth / 10, still), restarted=False))
+        states.append(monitor.on_frame(Frame(100 * tenth, tenth / 10, still), restarted=False))
     told = [(state.state, state.cause) for state in states if state is not None]
     assert told == ([("degraded", "restarts"), ("up", "")] if is_often else [])
 
@@ -396,10 +396,10 @@ def test_a_pad_that_often_restarts_is_degraded_until_it_is_steady(every_s: float
 def test_frames_refused_during_an_outage_are_not_a_fault(caplog: pytest.LogCaptureFixture) -> None:
     parser, still = FabricGrid(), np.zeros((8, 8), np.uint16)
     monitor = PadMonitor(parser=parser)
-    monitor.on_frame(Frame(0, 0, 0.0, still), restarted=False)
+    monitor.on_frame(Frame(0, 0.0, still), restarted=False)
     for packet in faulty(flip_bit_every=3):
         parser.feed(packet, 10.0)
-    monitor.on_frame(Frame(0, 0, 3 * COMPARE_S, still), restarted=True)
+    monitor.on_frame(Frame(0, 3 * COMPARE_S, still), restarted=True)
     assert caplog.messages == []
 
 
@@ -418,7 +418,7 @@ def states_of(monitor: PadMonitor, times_ms: Iterable[int], at_s: float = 0.0) -
     """Return how the pad's state changes while frames arrive at these times of its clock."""
     states, last_ms = list[SensorState | None](), -1000
     for ms in times_ms:
-        frame = Frame(0, ms % CLOCK_MODULUS, at_s + ms / 1000, np.zeros((8, 8), np.uint16))
+        frame = Frame(ms % CLOCK_MODULUS, at_s + ms / 1000, np.zeros((8, 8), np.uint16))
         states.append(monitor.on_frame(frame, restarted=not 0 < ms - last_ms <= MAX_GAP_MS))
         last_ms = ms
     return [state for state in states if state is not None]
@@ -445,7 +445,7 @@ def test_two_boards_on_one_line_degrade_the_pad() -> None:
     times_ms = [ms + 700_000 * (number % 2) for number, ms in enumerate(range(0, 5000, 18))]
     monitor, states = PadMonitor(), list[SensorState | None]()
     for number, ms in enumerate(times_ms):
-        frame = Frame(0, ms, number * 0.018, np.zeros((8, 8), np.uint16))
+        frame = Frame(ms, number * 0.018, np.zeros((8, 8), np.uint16))
         states.append(monitor.on_frame(frame, restarted=True))
     (state,) = filter(None, states)
     assert state.cause == "gaps"
@@ -455,7 +455,7 @@ def test_two_boards_on_one_line_degrade_the_pad() -> None:
 def test_gaps_in_frames_that_were_read_together_degrade_the_pad() -> None:
     monitor, states = PadMonitor(), list[SensorState | None]()
     for number in range(90):
-        frame = Frame(0, 300 * number, 1.5 * (number // 30), np.zeros((8, 8), np.uint16))
+        frame = Frame(300 * number, 1.5 * (number // 30), np.zeros((8, 8), np.uint16))
         states.append(monitor.on_frame(frame, restarted=True))
     (state,) = filter(None, states)
     # The 27 last frames came in two reads, 1.5 s apart.
@@ -487,7 +487,7 @@ def test_a_row_that_broke_on_a_slow_pad_is_found_between_touches() -> None:
     # Ten frames a second; a hand and what it leaves take four of every six seconds.
     for number, frame in enumerate(pad_with_dead_row(20, (10, 20))):
         at_ms = 100 * number
-        taxels.update(Frame(number, at_ms, at_ms / 1000, frame), is_untouched=at_ms % 6000 < 2000)
+        taxels.update(Frame(at_ms, at_ms / 1000, frame), is_untouched=at_ms % 6000 < 2000)
         assert taxels.faults == {} or number > 10 * RATE_HZ
     assert list(taxels.faults) == ["dead line"]
 

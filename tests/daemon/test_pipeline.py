@@ -50,7 +50,7 @@ class Bench:
         before = len(self.emitted)
         for number, counts in enumerate(self.pad.counts(np.concatenate(pressures))):
             if number not in skip:
-                frame = Frame(len(self.sent), round(self.clock_ms), self.now_s - 0.002, counts)
+                frame = Frame(round(self.clock_ms), self.now_s - 0.002, counts)
                 self.pipeline.on_frame(frame)
             self.sent.append(counts)
             self.clock_ms += 1000 / 54
@@ -165,7 +165,7 @@ def test_a_hand_that_left_long_ago_is_not_answered_at_once() -> None:
     for number, counts in enumerate(
         MadePad().counts(np.concatenate([nothing(2.0), palm(0.5), nothing(0.4)]))
     ):
-        pipeline.on_frame(Frame(number, round(number * 1000 / 54), number / 54, counts))
+        pipeline.on_frame(Frame(round(number * 1000 / 54), number / 54, counts))
     assert predictions(emitted) == []
 
 
@@ -228,7 +228,7 @@ def test_pads_touched_at_once_are_answered_as_each_alone() -> None:
     spoken = alone.feel(palm(3.5))
     for number, counts in enumerate(alone.sent):
         for pad in pads:
-            pad.on_frame(Frame(number, round(number * 1000 / 54), 99.998, counts))
+            pad.on_frame(Frame(round(number * 1000 / 54), 99.998, counts))
     for name in "abc":
         assert [
             msgspec.structs.replace(event, pad=DEFAULT_PAD) for event in emitted if event.pad == name
@@ -242,7 +242,7 @@ def test_viewers_see_every_third_frame_until_the_final_answer() -> None:
         PipelineSettings(decision=scene), Scripted(), emitted.append, STOPPED, viewers=lambda: [shown.append]
     )
     for number, counts in enumerate(pad.counts(np.concatenate([nothing(2.0), palm(4.0)]))):
-        pipeline.on_frame(Frame(number, round(number * 1000 / 54), 99.998, counts))
+        pipeline.on_frame(Frame(round(number * 1000 / 54), 99.998, counts))
     assert [live.frames for live in shown] == list(range(3, 145, 3))
     weighed = dict.fromkeys(LABELS, 0.0) | {"stroke": 0.9792, "pat": 0.0104, NO_TOUCH: 0.0104}
     assert shown[0] == LivePrediction(touch=1, frames=3, probabilities=weighed)
@@ -431,7 +431,7 @@ def test_rest_is_looked_at_nine_times_a_second_while_nothing_touches() -> None:
     pipeline = Pipeline(PipelineSettings(), Scripted(), emitted.append, STOPPED, monitor=monitor)
     scans = np.concatenate([nothing(3.0), nothing(2.0), palm(2.0)])
     for number, counts in enumerate(MadePad().counts(scans)):
-        pipeline.on_frame(Frame(number, round(number * 1000 / 54), 99.998, counts))
+        pipeline.on_frame(Frame(round(number * 1000 / 54), 99.998, counts))
         rests.append(monitor.rests)
     assert rests[54 * 5 - 1] - rests[54 * 3 - 1] == 18
     # A hand is seen a frame late.
@@ -504,7 +504,7 @@ def test_touches_after_a_reset_of_the_board_are_told() -> None:
     for clock_s in (100.0, 1.0):
         for number, counts in enumerate(pad.counts(np.concatenate([nothing(2.0), palm(2.0), nothing(2.0)]))):
             host_s += 1 / 54
-            pipeline.on_frame(Frame(number, round(1000 * (clock_s + number / 54)), host_s, counts))
+            pipeline.on_frame(Frame(round(1000 * (clock_s + number / 54)), host_s, counts))
     assert [end.gesture for end in ended(emitted)] == ["stroke", "stroke"]
     assert max(answer.age_ms for answer in predictions(emitted)) < 1000.0
 
@@ -636,8 +636,8 @@ def test_every_touch_is_answered_ended_and_told_once(seed: int) -> None:
         counts, seconds = rng.uniform(3, 900), rng.choice([0.1, 0.3, 1.0, 3.0])
         hand = rng.choice([0, 1, 2])
         scans = (nothing(seconds), palm(seconds, counts), pat(seconds, counts))[hand]
-        for number, scan in enumerate(pad.counts(scans)):
-            pipeline.on_frame(Frame(number, int(clock_ms) % 2**32, 0.0, scan))
+        for scan in pad.counts(scans):
+            pipeline.on_frame(Frame(int(clock_ms) % 2**32, 0.0, scan))
             mishap = rng.choice([0.0, rng.uniform(-30, 60), rng.uniform(-3000, 3000)], p=[0.97, 0.02, 0.01])
             clock_ms += 1000 / rate_hz + mishap
         if rng.uniform() < 0.1:

@@ -152,7 +152,7 @@ print(*(f"kept {path.name}" for path in folder.iterdir()), file=sys.stderr)
 def captured(touched_share: float, clock_ms: Iterable[int] = range(0, 1900, 19)) -> Capture:
     """A capture of frames at these times of the pad's clock."""
     nothing = np.zeros((8, 8), np.uint16)
-    frames = tuple(Frame(i, ms, ms / 1000, nothing) for i, ms in enumerate(clock_ms))
+    frames = tuple(Frame(ms, ms / 1000, nothing) for ms in clock_ms)
     return Capture(frames, touched_share)
 
 

@@ -301,7 +301,7 @@ class Line:
             self.now_s += 0.0 if held_up else self._step_ms / 1000
             # back_ms simulates a second board whose frames come in between.
             sensor_ms = round(self.sensor_ms) - self._back_ms * (self.sent % 2)
-            self._pipeline.on_frame(Frame(self.sent, sensor_ms % 2**32, self.now_s, counts))
+            self._pipeline.on_frame(Frame(sensor_ms % 2**32, self.now_s, counts))
         return [event for event in self.events[before:] if isinstance(event, Prediction)]
 
 
@@ -351,7 +351,7 @@ def test_a_clock_that_runs_back_a_little_costs_no_frames() -> None:
     laid = 0
     for number in range(216):
         ms = round(number * 1000 / 54) - (900 if number >= 100 else 0) + 5000
-        laid += len(ring.push(Frame(number, ms, 0.0, counts)))
+        laid += len(ring.push(Frame(ms, 0.0, counts)))
     assert laid == 216
 
 

@@ -72,7 +72,7 @@ class StoreBench:
 
     def feel(self, *pressures: Scans) -> None:
         for counts in self.pad.counts(np.concatenate(pressures)):
-            frame = Frame(len(self.sent), round(self.clock_ms) % 2**32, 100.0, counts)
+            frame = Frame(round(self.clock_ms) % 2**32, 100.0, counts)
             self.sent.append(frame)
             self.clock_ms += PERIOD_MS
             self.now_s += PERIOD_MS / 1000
@@ -195,7 +195,7 @@ def test_a_fast_pads_touch_is_kept_from_its_beginning(store: TouchStore, tmp_pat
     sink = TouchSink({"pad": store})
     sink.start()
     for ms in range(0, 7000, 2):
-        sink.put_frame(Frame(ms // 2, ms, 0.0, np.zeros((8, 8), np.uint16)))
+        sink.put_frame(Frame(ms, 0.0, np.zeros((8, 8), np.uint16)))
         if ms == 4000:
             sink.put(TouchBegan(touch=1, time=timestamp(0.0), sensor_ms=3200))
     sink.put(
@@ -353,7 +353,7 @@ def test_a_hanging_disk_never_blocks_the_loop(tmp_path: Path) -> None:
 
 def test_keeping_a_frame_takes_the_loop_little_time(store: TouchStore) -> None:
     sink = TouchSink({"pad": store})
-    frames = [Frame(i, 19 * i, 0.0, np.zeros((8, 8), np.uint16)) for i in range(20_000)]
+    frames = [Frame(19 * i, 0.0, np.zeros((8, 8), np.uint16)) for i in range(20_000)]
     sink.put_frame(frames[0])
     sink.put(ended_touch(1).began)
     begun_s = time.process_time()
@@ -461,7 +461,7 @@ def test_foreign_files_are_neither_offered_nor_deleted(tmp_path: Path) -> None:
 def made(first_ms: int, last_ms: int, times_ms: Sequence[int], noticed: int, **other: Any) -> EndedTouch:
     """Return a touch from its first to its last frame, of frames at these times."""
     touch, counts = ended_touch(1), np.zeros((8, 8), np.uint16)
-    frames = tuple(Frame(i, ms % 2**32, 0.0, counts) for i, ms in enumerate(times_ms))
+    frames = tuple(Frame(ms % 2**32, 0.0, counts) for ms in times_ms)
     began = msgspec.structs.replace(touch.began, sensor_ms=first_ms % 2**32)
     return replace(touch, began=began, frames=frames, noticed=noticed, end_ms=last_ms % 2**32, **other)
 
@@ -644,7 +644,7 @@ def test_other_pads_and_forgotten_frames_are_not_kept(store: TouchStore, tmp_pat
 
 def test_a_pad_off_54_hz_is_kept_as_sent(tmp_path: Path) -> None:
     counts = np.zeros((8, 8), np.uint16)
-    frames = tuple(Frame(i, 10 * i, 0.0, counts) for i in range(300))
+    frames = tuple(Frame(10 * i, 0.0, counts) for i in range(300))
     began = TouchBegan(touch=1, time="", sensor_ms=1157)
     pieces = cut(replace(ended_touch(1), began=began, frames=frames, noticed=121, end_ms=2004))
     assert (pieces.touch[0].sensor_ms, pieces.touch[-1].sensor_ms) == (1160, 2000)

@@ -22,7 +22,6 @@ def test_after_a_reboot_no_frame_is_lost(restart_ms: int) -> None:
     after = [frame for number in range(4) for frame in parser.feed(packet(number, restart_ms), float(number))]
     assert_are(before, range(3))
     assert_are(after, range(4), restart_ms)
-    assert [frame.number for frame in after] == [3, 4, 5, 6]
     assert [frame.host_s for frame in after] == [0.0, 1.0, 2.0, 3.0]
     assert parser.counts.bad == 0
 
@@ -73,7 +72,6 @@ def test_a_reset_forgets_half_a_frame_and_the_clock() -> None:
     parser.reset()
     frames = parser.feed(packets([0, 1], 0), 0.0)
     assert_are(frames, [0, 1], 0)
-    assert [frame.number for frame in frames] == [2, 3]
     assert parser.counts.bytes_dropped == 50
 
 

@@ -13,7 +13,7 @@ NOTHING = np.zeros((8, 8), np.uint16)
 
 
 def frames_at(stamps: Sequence[int]) -> list[Frame]:
-    return [Frame(number, ms % CLOCK_MODULUS, 0.0, NOTHING) for number, ms in enumerate(stamps)]
+    return [Frame(ms % CLOCK_MODULUS, 0.0, NOTHING) for ms in stamps]
 
 
 def test_frames_lost_in_a_gap_are_counted() -> None:

@@ -6,7 +6,6 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
-from itertools import pairwise
 from pathlib import Path
 from typing import ParamSpec
 
@@ -48,7 +47,6 @@ def test_up_comes_first_then_every_intact_frame_once(faults: Faults, lost: list[
         assert queue.get(WITHIN_S) == SensorState("up", f"frames arrive from {port.path}")
         frames = next_frames(queue, len(intact))
     assert_played(frames, stream, intact)
-    assert [frame.number for frame in frames] == list(range(len(intact)))
 
 
 P = ParamSpec("P")
@@ -126,7 +124,7 @@ def test_frames_that_nobody_needs_are_read_together(
         # The clock is known after a second and a half.
         frames = next_frames(queue, 145)[-50:]
         sensor.stop()
-    assert [later.number - frame.number for frame, later in pairwise(frames)] == [1] * 49
+    assert parser.counts.bad == queue.dropped == 0
     # A busy machine delays some of the reads, not most.
     assert np.median(list(Counter(frame.host_s for frame in frames).values())) == read
 
@@ -164,7 +162,7 @@ def test_any_pyserial_address_works() -> None:
 def test_a_full_queue_drops_old_frames_but_no_state() -> None:
     queue = FrameQueue(4)
     down, up = SensorState("down", "unplugged"), SensorState("up", "back")
-    frames = [Frame(number, number * 19, 0.0, np.zeros((8, 8), np.uint16)) for number in range(4)]
+    frames = [Frame(number * 19, 0.0, np.zeros((8, 8), np.uint16)) for number in range(4)]
     for item in (down, frames[0], up, *frames[1:]):
         queue.put(item)
     assert (len(queue), queue.dropped) == (4, 2)

@@ -32,7 +32,7 @@ def laid(counts: Counts) -> NDArray[np.float32]:
     """Return the grid's frames (T, 8, 8) for counts at 54 Hz."""
     ring = Ring(capacity=1)
     stamps = ideal_clock_ms(len(counts)).tolist()
-    frames = [ring.push(Frame(n, ms, 0.0, counts[n]))[0] for n, ms in enumerate(stamps)]
+    frames = [ring.push(Frame(ms, 0.0, counts[n]))[0] for n, ms in enumerate(stamps)]
     return np.stack([frame.pressure for frame in frames])
 
 
@@ -123,5 +123,5 @@ def test_after_a_gap_the_vibration_is_learned_again() -> None:
     counts = MadePad().counts(hum(324))
     ring = Ring(capacity=1)
     stamps = ideal_clock_ms(324) + np.where(np.arange(324) < 300, 0, 5000)
-    frames = [ring.push(Frame(n, int(ms), 0.0, counts[n]))[-1] for n, ms in enumerate(stamps)]
+    frames = [ring.push(Frame(int(ms), 0.0, counts[n]))[-1] for n, ms in enumerate(stamps)]
     assert np.array_equal(frames[-1].pressure, counts[-1])

@@ -163,7 +163,7 @@ def test_dropped_frames_are_logged_until_the_queue_is_empty(caplog: pytest.LogCa
     service.tell(LinesSink("stdout", os.open(os.devnull, os.O_WRONLY), encode))
     (pad,) = service.pads
     rest = np.zeros((8, 8), np.uint16)
-    pad.queue.put_all(Frame(number, 18 * number, 0.018 * number, rest) for number in range(600))
+    pad.queue.put_all(Frame(18 * number, 0.018 * number, rest) for number in range(600))
     service.run(lambda: True)
     begun, ended, in_all = (record.message for record in caplog.records if "dropped" in record.message)
     assert begun.startswith("pad: frames dropped: the machine is too busy")

@@ -13,7 +13,7 @@ FIRST_S = 1795168800.0
 def ended_touch(number: int, rest_frames: int = 10, after_s: float = 0.0) -> EndedTouch:
     """Return touch `number`: 20 frames between `rest_frames` of rest, a second after the previous one."""
     counts = np.full((8, 8), number % 1024, np.uint16)
-    frames = tuple(Frame(i, 19 * i, 0.0, counts) for i in range(FRAMES + 2 * rest_frames))
+    frames = tuple(Frame(19 * i, 0.0, counts) for i in range(FRAMES + 2 * rest_frames))
     first_ms, last_ms = 19 * rest_frames, 19 * (rest_frames + FRAMES - 1)
     when = timestamp(FIRST_S + number + after_s)
     return EndedTouch(

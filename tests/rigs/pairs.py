@@ -63,12 +63,12 @@ def told_of(path: Path, classifier: Classifier) -> Told:
 def _arrivals(path: Path) -> Iterator[tuple[float, Frame]]:
     """Yield a stream's frames, each when its pad sent it."""
     now_s, before_ms = 0.0, None
-    for number, (ms, counts) in enumerate(_frames(path)):
+    for ms, counts in _frames(path):
         if before_ms is not None:
             step_s = (ms - before_ms) % CLOCK_MODULUS / 1000
             now_s += step_s if step_s <= LONGEST_STEP_S else PERIOD_S
         before_ms = ms
-        yield now_s, Frame(number, ms, now_s, counts)
+        yield now_s, Frame(ms, now_s, counts)
 
 
 class Listener:

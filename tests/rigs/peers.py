@@ -42,7 +42,7 @@ os.environ["CYCLONEDDS_URI"] = DDS_ON_LOOPBACK
 
 def frame(number: int, host_s: float | None = None) -> Frame:
     counts = np.random.default_rng(number).integers(0, 1024, (8, 8)).astype(np.uint16)
-    return Frame(number, number * 19, time.monotonic() if host_s is None else host_s, counts)
+    return Frame(number * 19, time.monotonic() if host_s is None else host_s, counts)
 
 
 class Peer(ABC):

@@ -72,7 +72,7 @@ def test_a_minute_of_notouch_tells_the_robot_nothing(recordings: list[Recording]
     quiet = [recording for recording in recordings if recording.gesture == NO_TOUCH][:8]
     # Each was made on another cover: the pad is silent in between, as when covers are changed.
     frames = (
-        Frame(0, int(ms), ms / 1000.0, counts)
+        Frame(int(ms), ms / 1000.0, counts)
         for number, recording in enumerate(quiet)
         for ms, counts in zip(
             ideal_clock_ms(len(recording.counts), first_ms=number * 60_000), recording.counts, strict=True
