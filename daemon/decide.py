@@ -91,7 +91,7 @@ class Decision:
         self._settings = settings
         self._labels = labels
         occurs = {*(settings.gestures or labels), NO_TOUCH}
-        self._occurs = np.array([label in occurs for label in labels])
+        self._occurs = [label in occurs for label in labels]
         self._ended = np.where([label == NO_TOUCH for label in labels], ENDED_NOTOUCH, 1.0)
         self.may_be_early = settings.early == "when_sure"
         self._stands: str | None = None
@@ -166,11 +166,12 @@ class Decision:
 
     def weigh(self, probabilities: NDArray[np.float64]) -> dict[str, float]:
         """Return (labels,) probabilities by label, renormalised over the gestures that can occur."""
-        kept = np.where(self._occurs, probabilities, 0.0)
-        total = kept.sum()
-        if total <= 0.0:
-            kept, total = self._occurs.astype(np.float64), float(self._occurs.sum())
-        return dict(zip(self._labels, (kept / total).tolist(), strict=True))
+        pairs = zip(probabilities.tolist(), self._occurs, strict=True)
+        kept = [probability if occurs else 0.0 for probability, occurs in pairs]
+        if not any(kept):
+            kept = [float(occurs) for occurs in self._occurs]
+        total = sum(kept)
+        return {label: value / total for label, value in zip(self._labels, kept, strict=True)}
 
 
 def _likeliest(scene: dict[str, float]) -> str:

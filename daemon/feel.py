@@ -123,9 +123,12 @@ class FeelMeter:
 
     def _rhythm_hz(self) -> float:
         """Return the mean rate of beats, from the first to the last; 0 if there are fewer than two."""
-        loads = np.array(self._loads)
-        top = loads.max(initial=0.0)
-        at = np.flatnonzero((loads < FALLEN_SHARE * top) | (loads > RISEN_SHARE * top))
-        is_risen = loads[at] > RISEN_SHARE * top
-        beats = at[is_risen & np.array([True, *~is_risen])[:-1]].tolist()
+        top = max(self._loads, default=0.0)
+        beats, is_fallen = list[int](), True
+        for at, load in enumerate(self._loads):
+            if is_fallen and load > RISEN_SHARE * top:
+                beats.append(at)
+                is_fallen = False
+            elif load < FALLEN_SHARE * top:
+                is_fallen = True
         return FRAME_RATE_HZ * (len(beats) - 1) / (beats[-1] - beats[0]) if len(beats) > 1 else 0.0
