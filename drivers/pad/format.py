@@ -1,6 +1,5 @@
 """What a pad sends, described rather than programmed: framing, cells, clock, checksum, orientation."""
 
-import json
 from functools import lru_cache
 from typing import Annotated, Literal
 
@@ -132,17 +131,6 @@ PRESETS = {
     "itas": PadFormat(poll="41", cell="u8", rows=8, columns=8, full_scale=255),
     "fsr-array": PadFormat(poll="41", rows=8, columns=8),
 }
-
-
-def as_yaml(described: PadFormat) -> str:
-    """Return a description as it stands in the configuration, on one line."""
-    for name, preset in PRESETS.items():
-        if preset == described:
-            return f"format: {name}"
-    always = {"framing": described.framing, "rows": described.rows, "columns": described.columns}
-    fields = always | msgspec.to_builtins(described) | {"full_scale": described.full_scale}
-    shown = {key: f"{value:g}" if key == "full_scale" else json.dumps(value) for key, value in fields.items()}
-    return f"format: {{{', '.join(f'{key}: {value}' for key, value in shown.items())}}}"
 
 
 class Layout:

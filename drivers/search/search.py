@@ -4,6 +4,7 @@ Told the grid, arithmetic leaves a few placements of the cells in a frame. The o
 together most is proposed if a hand presses the pad and touchd's own parser reads nearly all that came.
 """
 
+import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,7 +15,7 @@ import numpy as np
 
 from touchd.drivers.frame import MIN_RATE_HZ, Frame
 from touchd.drivers.pad.arrived import has_text, looks_like
-from touchd.drivers.pad.format import LONGEST_SIDE, PRESETS, SHORTEST_SIDE, PadFormat, as_yaml, layout_of
+from touchd.drivers.pad.format import LONGEST_SIDE, PRESETS, SHORTEST_SIDE, PadFormat, layout_of
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.search import binary, text
@@ -120,6 +121,17 @@ def _frames_in(data: bytes, seconds: float) -> _Frames | None:
     by_frame, by_line = (binary.counting(each) for each in (usual.numbers, usual.numbers.swapaxes(0, 1)))
     shown = height, width - int((by_frame.all(axis=0) | by_line.all(axis=0)).sum())
     return _Frames(f"{height * width} numbers a frame", count / seconds, shown, [math.prod(shown)])
+
+
+def as_yaml(described: PadFormat) -> str:
+    """Return a description as it stands in the configuration, on one line."""
+    for name, preset in PRESETS.items():
+        if preset == described:
+            return f"format: {name}"
+    always = {"framing": described.framing, "rows": described.rows, "columns": described.columns}
+    fields = always | msgspec.to_builtins(described) | {"full_scale": described.full_scale}
+    shown = {key: f"{value:g}" if key == "full_scale" else json.dumps(value) for key, value in fields.items()}
+    return f"format: {{{', '.join(f'{key}: {value}' for key, value in shown.items())}}}"
 
 
 def search(chunks: Sequence[Chunk], grid: Grid | None) -> Finding:
