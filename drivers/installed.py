@@ -61,6 +61,11 @@ def how_to_install(extra: str) -> str:
     return _with_torch_alone([*sudo, sys.executable, "-m", "pip", "install"], wanted, [], "--index-url={}")
 
 
+def qi_installed() -> bool:
+    """Return whether qi, the library that speaks to NAOqi, is installed. It is not loaded."""
+    return importlib.util.find_spec("qi") is not None
+
+
 def how_to_get_qi() -> str:
     """Return how to install qi, which has wheels for some computers and versions of Python only."""
     has_wheel = sys.version_info < (3, 13) and platform.machine() == "x86_64"

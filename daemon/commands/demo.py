@@ -32,9 +32,9 @@ from touchd.drivers.fakes.loopback_robot import LoopbackRobot
 from touchd.drivers.fakes.services import Call
 from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH, Counts
-from touchd.drivers.installed import program_name
+from touchd.drivers.installed import program_name, qi_installed
 from touchd.drivers.recording import Stream, read_recordings, splice
-from touchd.drivers.robot.session import RobotSettings, qi_installed
+from touchd.drivers.robot.session import RobotSettings
 from touchd.model.classifier import Classifier
 
 if typing.TYPE_CHECKING:

@@ -1,7 +1,6 @@
 """How a robot is reached: its address and login, time limits, and a session over qi."""
 
 import importlib
-import importlib.util
 import os
 import re
 import threading
@@ -105,11 +104,6 @@ class RobotSession(Protocol):
 OpenSession: TypeAlias = Callable[[str, Login | None, RobotLimits, threading.Event], RobotSession]
 
 
-def qi_installed() -> bool:
-    """Return whether qi, the library that speaks to NAOqi, is installed. It is not loaded."""
-    return importlib.util.find_spec("qi") is not None
-
-
 def load_qi() -> Any:
     """Return the module qi, silenced; raises RobotError with one line when it cannot be loaded."""
     # libqi reads this when it is loaded: a network that drops everything is then noticed after 10 s, not 30.
@@ -119,7 +113,7 @@ def load_qi() -> Any:
     try:
         qi = importlib.import_module("qi")
     except ImportError as error:
-        from touchd.drivers.installed import how_to_get_qi
+        from touchd.drivers.installed import how_to_get_qi, qi_installed
 
         why = "is not installed" if not qi_installed() else f"cannot be loaded ({error})"
         raise RobotError(

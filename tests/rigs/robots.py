@@ -20,9 +20,10 @@ from touchd.daemon.events import timestamp
 from touchd.daemon.robot import told_of
 from touchd.drivers.fakes.loopback_robot import LoopbackRobot
 from touchd.drivers.fakes.stub_robot import StubRobot
+from touchd.drivers.installed import qi_installed
 from touchd.drivers.robot.acting import say
 from touchd.drivers.robot.link import RobotLink, Told
-from touchd.drivers.robot.session import Login, RobotLimits, RobotSettings, qi_installed
+from touchd.drivers.robot.session import Login, RobotLimits, RobotSettings
 
 needs_qi = pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
 
