@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import logging
 import time
 import typing
@@ -60,8 +59,6 @@ class Service:
 
     def run(self, must_stop: Callable[[], bool]) -> None:
         """Run until `must_stop`, asked between items, is True; then end touches and stop every sink."""
-        # Exempt loaded objects from garbage collection: a full pass takes as long as an answer may.
-        gc.freeze()
         self.events.sinks += self._parts.sinks
         for sink in self.events.sinks:
             sink.start()

@@ -114,7 +114,6 @@ def main(arguments: Sequence[str]) -> int:
         service = Service(settings, found.file)
         service.events.tags = tags
         closing.enter_context(TagServer(service.events))
-        favour_latency()
         page, code = _live_page(settings) if settings.live else ("", "")
         if options.view:
             from touchd.daemon.terminal.keys import listening
@@ -141,6 +140,7 @@ def main(arguments: Sequence[str]) -> int:
         closing.callback(root.removeHandler, handler)
         root.setLevel(settings.log_level.upper())
         log.info("%s; journal: %s", found, settings.journal.file if settings.journal else "none")
+        favour_latency()
         service.run(_reporting(service, signals.must_stop, closing))
     return 0
 
@@ -201,6 +201,6 @@ def _in_words(settings: Settings) -> Callable[[Event], bytes]:
 def favour_latency() -> None:
     """Keep Python's garbage collector from delaying an answer."""
     sys.setswitchinterval(SWITCH_S)
-    # Objects loaded at start-up stay, so do not scan them for garbage.
+    # Objects loaded at start-up stay: do not scan them for garbage, which takes as long as an answer may.
     gc.collect()
     gc.freeze()
