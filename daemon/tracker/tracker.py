@@ -541,7 +541,7 @@ class TouchTracker:
         older, newer = self._recent.halves()
         self.baseline.track_sway(np.abs(newer - older))
         frames = self._recent.last(SECOND_FRAMES)
-        smooth = _median(frames[2:], frames[1:-1], frames[:-2])
+        smooth = np.sort([frames[2:], frames[1:-1], frames[:-2]], axis=0)[1]
         self._restless = 0.0
         self._learn_restless(max(map(beyond_one_wire, self._above(smooth - self.baseline.counts))))
         return release
@@ -602,8 +602,3 @@ def beyond_one_wire(above: Taxels) -> float:
     """Sum (64,) counts, without what a loose wire may lift of the strongest row or column."""
     sums = LINES.dot(above).tolist()
     return float(sum(sums[:ROWS]) - min(max(sums), WIRE_COUNTS))
-
-
-def _median(a: NDArray[np.float32], b: NDArray[np.float32], c: NDArray[np.float32]) -> NDArray[np.float32]:
-    median: NDArray[np.float32] = np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))
-    return median
