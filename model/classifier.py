@@ -32,10 +32,6 @@ class ModelError(TouchdError):
     """A model file is missing, unreadable or not made for this pad; the message says which and what to do."""
 
 
-class ModelInputError(ValueError):
-    """The counts are not a window of the pad: wrong shape, not finite, or outside 0 to 1023."""
-
-
 class ModelMetadata(msgspec.Struct, frozen=True, kw_only=True):
     """A model file's description of itself: JSON under the key "touchd" of its ONNX metadata."""
 
@@ -99,7 +95,7 @@ class Classifier:
     def probabilities(self, frames: NDArray[np.generic]) -> NDArray[np.float64]:
         """Return calibrated probabilities (labels,) for counts (T, 8, 8), integers or floats in 0 to 1023.
 
-        Raises ModelInputError for any other shape, length or value.
+        Raises ValueError for any other shape, length or value, also for one that is not finite.
         """
         probabilities: NDArray[np.float64] = self.batch_probabilities(frames[np.newaxis])[0]
         return probabilities
@@ -115,7 +111,7 @@ class Classifier:
         """Return probabilities (labels,) over all frames of a touch so far, and the next state.
 
         frames: the touch's next (T, 8, 8) counts; state: from the previous call, None at first. The result
-        equals `probabilities` of all the frames, up to rounding. Raises ModelInputError.
+        equals `probabilities` of all the frames, up to rounding. Raises ValueError.
         """
         counts = self._checked(frames[np.newaxis])
         if not self.states:
@@ -132,7 +128,7 @@ class Classifier:
         # A NaN fails both comparisons, so this also refuses what is not finite.
         if not is_window or not (counts.min(initial=0.0) >= 0.0 and counts.max(initial=0.0) <= MAX_COUNT):
             wanted = f"1 to {longest} frames of {ROWS}x{COLUMNS} counts from 0 to {MAX_COUNT}"
-            raise ModelInputError(f"the model takes {wanted}; this is {counts.shape[1:]}")
+            raise ValueError(f"the model takes {wanted}; this is {counts.shape[1:]}")
         return counts
 
 

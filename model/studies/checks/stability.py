@@ -24,7 +24,7 @@ from rich.console import Group, JustifyMethod
 from rich.table import Table
 
 from touchd.drivers.fakes.hand import simulate
-from touchd.model.classifier import SHIPPED_MODEL, Classifier, ModelInputError
+from touchd.model.classifier import SHIPPED_MODEL, Classifier
 from touchd.model.own_file import load_own
 from touchd.model.studies.checks.hard_cases import FRAMES, checkerboard, hand, hard_cases, tiny
 from touchd.model.studies.checks.timing import time_in_turn
@@ -217,7 +217,7 @@ def _check_refusals(classifier: Classifier) -> CaseResult:
     for bad in (np.nan, np.inf, -np.inf, -1.0, 1024.0):
         window = hand(FRAMES)
         window[-1, -1, -1] = bad
-        with suppress(ModelInputError):
+        with suppress(ValueError):
             classifier.probabilities(window)
             answered += 1
     return _judge("NaN, infinite, negative, > 1023", REFUSED, [answered])
