@@ -33,7 +33,7 @@ from touchd.drivers.pad.names import LastingName, lasting_name
 from touchd.drivers.pad.port import Line, SensorError, at_baud, open_port
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.robot.session import RobotError
-from touchd.drivers.search.listen import USUAL_BAUDS, likeliest_baud
+from touchd.drivers.search.listen import USUAL_BAUDS, Chunk, likeliest_baud
 from touchd.drivers.search.search import Grid, as_yaml
 from touchd.drivers.whole_file import whole_file
 
@@ -194,17 +194,22 @@ def _describe(
     console: Console, opened: Line, where: str, tried: Sequence[int], grid: Grid | None
 ) -> PadFormat | None:
     """Return the proven description of the sender, or print what its bytes look like and what is missing."""
-    if can_ask():
-        finding = find_with_a_hand(console, opened, grid)
-    else:
-        finding = find_without_asking(console.print, opened, (grid,))
-    if finding.proposed is None:
-        rates = f"; baud rates tried: {', '.join(map(str, tried))}" if len(tried) > 1 else ""
-        console.print(f"{where}: {finding.saw}; {finding.missing}{rates}", style="yellow")
-        return None
-    if can_ask():
-        return turned_with_a_hand(console, opened, finding.proposed)
-    return finding.proposed
+    at_rest: list[Chunk] = []
+    while True:
+        if can_ask():
+            finding, at_rest = find_with_a_hand(console, opened, grid)
+        else:
+            finding = find_without_asking(console.print, opened, (grid,))
+        if finding.proposed is None:
+            rates = f"; baud rates tried: {', '.join(map(str, tried))}" if len(tried) > 1 else ""
+            console.print(f"{where}: {finding.saw}; {finding.missing}{rates}", style="yellow")
+            return None
+        if not can_ask():
+            return finding.proposed
+        if turned := turned_with_a_hand(console, opened, finding.proposed, at_rest):
+            return turned
+        console.print("once more: are the rows and columns right?", style="yellow")
+        grid = None
 
 
 def _poll(port: str, baud: int) -> Found | None:

@@ -61,7 +61,7 @@ def _examine_pad(
 
         def find() -> Finding:
             if talk:
-                return find_with_a_hand(talk, opened, grid)
+                return find_with_a_hand(talk, opened, grid)[0]
             configured = (sensor.described.rows, sensor.described.columns)
             return find_without_asking(say, opened, (grid,) if grid else (configured, None))
 

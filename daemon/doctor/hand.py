@@ -16,12 +16,12 @@ from rich.live import Live
 
 from touchd.daemon.terminal.pad_picture import as_text, level_of, pad_picture
 from touchd.daemon.terminal.palette import palette_for
-from touchd.drivers.frame import COLUMNS, ROWS, Counts
+from touchd.drivers.frame import COLUMNS, ROWS
 from touchd.drivers.pad.format import LONGEST_SIDE, SHORTEST_SIDE, PadFormat
-from touchd.drivers.pad.port import Line, read_waiting
+from touchd.drivers.pad.port import Line, forget_waiting, read_waiting
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.search.listen import Chunk, listen
-from touchd.drivers.search.search import Finding, Grid, search, survey
+from touchd.drivers.search.search import Finding, Grid, has_place, search, survey
 
 # A pad of 8 frames a second sends 16 in this time; half of them are enough to see their size.
 REST_S = 2.0
@@ -34,6 +34,9 @@ LOOK_EVERY_S = 3.0
 SEARCH_S = 60.0
 CORNER_S = 20.0
 PRESSED_COUNTS = 40
+# A hand that holds its corner stays within a taxel for this long; one that still wanders passes others.
+HELD_S = 1.0
+HELD_TAXELS = 1.0
 PICTURE_SCALE = 2
 SHOW_EVERY_S = 0.08
 
@@ -71,13 +74,18 @@ def add_grid(parser: argparse.ArgumentParser) -> None:
 
 
 def ask_grid(console: Console, opened: Line) -> Grid | None:
-    """Say how large the pad's frames are, and ask for its rows and columns; None if nothing has frames."""
-    seen = survey([Chunk(b"", time.monotonic()), *listen(opened, REST_S)])
+    """Say how large the pad's frames are, and ask for its rows and columns; None if nothing has frames.
+
+    A grid that does not fit the frames is asked for again, and taken if it is typed twice.
+    """
+    forget_waiting(opened)
+    chunks = [Chunk(b"", time.monotonic()), *listen(opened, REST_S)]
+    seen = survey(chunks)
     if seen is None:
         return None
     default = f" [{seen.grid[0]}x{seen.grid[1]}] ({seen.why})" if seen.grid else ""
     console.print(f"Your pad sends {seen.frame}, {seen.rate_hz:.0f} frames a second.")
-    grid: Grid | None = None
+    grid = refused = None
     while grid is None:
         console.print(f"Rows and columns?{default} ", style="cyan", end="")
         typed = sys.stdin.readline()
@@ -87,17 +95,24 @@ def ask_grid(console: Console, opened: Line) -> Grid | None:
             console.print(str(error), style="yellow")
             if not typed:
                 break
+        if grid not in (None, refused) and not has_place(chunks, grid):
+            console.print(f"{seen.frame} do not fit {grid[0]}x{grid[1]} cells", style="yellow")
+            grid, refused = None, grid
     # What came while the person typed is not complete.
-    opened.reset_input_buffer()
+    forget_waiting(opened)
     return grid
 
 
-def find_with_a_hand(console: Console, opened: Line, told: Grid | None) -> Finding:
-    """Ask for the grid, for rest and for presses until the description is proven twice, or for PRESS_S."""
+def find_with_a_hand(console: Console, opened: Line, told: Grid | None) -> tuple[Finding, list[Chunk]]:
+    """Ask for the grid, for rest and for presses until the description is proven twice, or for PRESS_S.
+
+    Returns what was found, and what arrived before the presses.
+    """
     grid = told or ask_grid(console, opened)
     console.print(f"Leave the pad alone for {REST_S:g} s ...", style="cyan")
     # The empty chunk marks the start, so that silence of a pad that nobody presses yet counts.
-    chunks = [Chunk(b"", time.monotonic()), *listen(opened, REST_S)]
+    at_rest = [Chunk(b"", time.monotonic()), *listen(opened, REST_S)]
+    chunks = [*at_rest]
     console.print(
         "Press firmly in the middle, then move your hand over the whole pad, to its edges ...", style="cyan"
     )
@@ -111,7 +126,7 @@ def find_with_a_hand(console: Console, opened: Line, told: Grid | None) -> Findi
             chunks += listen(opened, SEARCH_S, lambda _: search_now.done())  # noqa: B023 - called in this turn
             finding = search_now.result()
             if (before and _is_again(finding, before)) or time.monotonic() >= until_s:
-                return finding
+                return finding, at_rest
             before = finding
 
 
@@ -140,10 +155,16 @@ def _is_again(finding: Finding, before: Finding) -> bool:
     return same_grid and (found.line, found.invert) == (earlier.line, earlier.invert)
 
 
-def turned_with_a_hand(console: Console, opened: Line, described: PadFormat) -> PadFormat:
-    """Ask for the top left corner, then whether the picture follows; return the turned description."""
+def turned_with_a_hand(
+    console: Console, opened: Line, described: PadFormat, at_rest: Sequence[Chunk]
+) -> PadFormat | None:
+    """Ask for the top left corner, then whether the picture follows; return the turned description.
+
+    at_rest: what arrived before somebody pressed the pad. None if no picture followed: the grid or the corner
+    was another.
+    """
     console.print("Touch the corner that should be top left, and hold it ...", style="cyan")
-    corner = _touched_corner(opened, described)
+    corner = _touched_corner(opened, described, at_rest)
     if corner is None:
         console.print("no corner was touched: sensor.turn and sensor.mirror are not set", style="yellow")
         return described
@@ -151,29 +172,42 @@ def turned_with_a_hand(console: Console, opened: Line, described: PadFormat) -> 
     for choice in choices:
         if _follows(console, opened, choice):
             return choice
-    console.print("neither fits: set sensor.turn and sensor.mirror in the file", style="yellow")
-    return described
+    return None
 
 
-def _touched_corner(opened: Line, described: PadFormat) -> tuple[bool, bool] | None:
-    """Return the corner of the described pad that a hand presses, as (is below, is to the right)."""
+def _touched_corner(opened: Line, described: PadFormat, at_rest: Sequence[Chunk]) -> tuple[bool, bool] | None:
+    """Return the corner of the described pad that a hand holds, as (is below, is to the right)."""
     parser = parser_of(described)
-    rest: list[Counts] = []
-    held = 0
+    # The hand may be on the pad already.
+    rest = [frame.pressure for chunk in at_rest for frame in parser.feed(*chunk)]
+    held: list[tuple[float, float, float]] = []
     until_s = time.monotonic() + CORNER_S
     while time.monotonic() < until_s:
         for frame in parser.feed(read_waiting(opened, parser), time.monotonic()):
             rest = [*rest[-500:], frame.pressure]
             above = frame.pressure - np.percentile(np.array(rest), 20, axis=0)
-            held = held + 1 if len(rest) > 10 and above.max() > PRESSED_COUNTS else 0
-            if held > 10:
-                return _corner_of(above)
+            is_pressed = len(rest) > 10 and above.max() > PRESSED_COUNTS
+            held = [*held, (frame.host_s, *_centre(above))] if is_pressed else []
+            if (corner := _corner_where_held(held)) is not None:
+                return corner
     return None
 
 
-def _corner_of(above: NDArray[np.float64]) -> tuple[bool, bool]:
-    row, column = np.unravel_index(int(above.argmax()), above.shape)
-    return bool(row >= ROWS // 2), bool(column >= COLUMNS // 2)
+def _centre(above: NDArray[np.float64]) -> tuple[float, float]:
+    """Return row and column of the middle of the pressed taxels."""
+    rows, columns = np.nonzero(above > above.max() / 2)
+    return float(rows.mean()), float(columns.mean())
+
+
+def _corner_where_held(held: Sequence[tuple[float, float, float]]) -> tuple[bool, bool] | None:
+    """Return the corner where a hand has stayed, None if it moves."""
+    if not held or held[-1][0] - held[0][0] < HELD_S:
+        return None
+    places = np.array([place for at_s, *place in held if at_s >= held[-1][0] - HELD_S])
+    if (np.ptp(places, axis=0) > HELD_TAXELS).any():
+        return None
+    row, column = places.mean(axis=0)
+    return bool(row > (ROWS - 1) / 2), bool(column > (COLUMNS - 1) / 2)
 
 
 def _follows(console: Console, opened: Line, described: PadFormat) -> bool:

@@ -15,7 +15,7 @@ from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, MIN_RATE_HZ, ROWS
 from touchd.drivers.pad.arrived import is_text, looks_like
 from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.pace import clock_by_ours, pace_of
-from touchd.drivers.pad.port import Line, SensorError, at_baud, check_port, open_port
+from touchd.drivers.pad.port import Line, SensorError, at_baud, check_port, forget_waiting, open_port
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.search.listen import USUAL_BAUDS, Chunk
 from touchd.drivers.search.search import Finding, as_yaml, search
@@ -141,8 +141,8 @@ def _other_baud(sensor: SensorSettings, opened: Line) -> int | None:
             continue
         try:
             opened.baudrate = baud
-            opened.reset_input_buffer()
-        except (OSError, ValueError):
+            forget_waiting(opened)
+        except (OSError, ValueError, SensorError):
             continue
         if listen(opened, parser_of(sensor.described), TRY_BAUD_S, start_s=TRY_BAUD_S).frames:
             return baud

@@ -101,6 +101,14 @@ def read_waiting(opened: Line, parser: FrameParser) -> bytes:
         raise why_not_read(str(opened.port), error) from error
 
 
+def forget_waiting(opened: Line) -> None:
+    """Discard what has arrived; raise SensorError when the port is gone."""
+    try:
+        opened.reset_input_buffer()
+    except (OSError, termios.error) as error:
+        raise why_not_read(str(opened.port), error) from error
+
+
 def reads_all(opened: Line) -> bool:
     """Whether one read returns all that has arrived, as on a serial port; over UDP it is a datagram."""
     return type(opened) is serial.Serial or (not isinstance(opened, serial.SerialBase) and opened.is_stream)

@@ -10,7 +10,7 @@ import numpy as np
 
 from touchd.drivers.pad.arrived import is_text
 from touchd.drivers.pad.format import PRESETS
-from touchd.drivers.pad.port import Line, read_waiting
+from touchd.drivers.pad.port import Line, forget_waiting, read_waiting
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.search.binary import tables
 
@@ -69,7 +69,7 @@ def likeliest_baud(opened: Line, bauds: Sequence[int], say: Callable[[int], None
         say(baud)
         with suppress(OSError, ValueError):
             opened.baudrate = baud
-            opened.reset_input_buffer()
+            forget_waiting(opened)
             chunks = listen(opened, FIRST_BYTE_S, bool)
             # If one rate yields no bytes, none will.
             if not chunks and not likely:
@@ -80,7 +80,7 @@ def likeliest_baud(opened: Line, bauds: Sequence[int], say: Callable[[int], None
     best = max(likely, key=lambda baud: likely[baud], default=None)
     if best is not None:
         opened.baudrate = best
-        opened.reset_input_buffer()
+        forget_waiting(opened)
     return best
 
 

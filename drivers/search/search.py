@@ -6,7 +6,7 @@ together most is proposed if a hand presses the pad and touchd's own parser read
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
 
@@ -157,11 +157,21 @@ def search(chunks: Sequence[Chunk], grid: Grid | None) -> Finding:
     return Finding(described, "", saw)
 
 
+def has_place(chunks: Sequence[Chunk], grid: Grid) -> bool:
+    """Whether the frames in what arrived can hold the cells of a grid."""
+    return any(_placements(b"".join(chunk.data for chunk in chunks), grid))
+
+
 def _best(data: bytes, grid: Grid) -> Placement | None:
-    """Return the placement in which neighbours move together most, smoothly; a clock is not a cell."""
+    """Return the placement in which neighbours move together most, smoothly."""
+    return max(_placements(data, grid), key=_fit, default=None)
+
+
+def _placements(data: bytes, grid: Grid) -> Iterator[Placement]:
+    """Yield the placements of a grid's cells; a clock is not a cell."""
     lines = text.lines_of(data)
     placed = binary.placements(data, *grid) if lines is None else text.placements(lines, *grid)
-    return max((each for each in placed if not binary.counting(each.values).any()), key=_fit, default=None)
+    return (each for each in placed if not binary.counting(each.values).any())
 
 
 def _fit(placed: Placement) -> tuple[float, float]:

@@ -18,6 +18,7 @@ from rigs.coarse_pad import third_study
 from rigs.doctor_rig import pad_read_too_fast
 from rigs.expectations import RECORDINGS, stream_of
 from rigs.haart_folder import needs_third_study
+from rigs.pressing import pressed
 from rigs.programs import TOUCHD, Program
 from rigs.robots import LOGIN, Robot, needs_qi
 from rigs.sensor_rig import PolledPad
@@ -28,15 +29,17 @@ from touchd.daemon.commands import init
 from touchd.daemon.commands.init import main
 from touchd.daemon.config import ConfigError, SensorSettings, load
 from touchd.daemon.doctor import hand, machine
+from touchd.daemon.doctor.hand import turned_with_a_hand
 from touchd.daemon.events import SensorEvent
 from touchd.daemon.kept.touches import decode
 from touchd.daemon.playback.rig import encoder_for
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.pad.names import LastingName
-from touchd.drivers.pad.port import SensorError
+from touchd.drivers.pad.port import SensorError, open_port
 from touchd.drivers.recording import Stream, ideal_clock_ms
 from touchd.drivers.robot.session import Login, RobotError
+from touchd.drivers.search.listen import listen
 from touchd.drivers.search.search import Finding
 
 STREAM = stream_of(next(iter(RECORDINGS)))
@@ -244,7 +247,7 @@ def test_a_grid_that_only_one_search_found_is_not_proposed(monkeypatch: pytest.M
     monkeypatch.setattr(hand, "listen", lambda *_: [])
     monkeypatch.setattr(hand, "search", lambda *_: next(searches))
     unused: Any = None
-    assert hand.find_with_a_hand(Console(quiet=True), unused, (8, 8)) == firmer
+    assert hand.find_with_a_hand(Console(quiet=True), unused, (8, 8))[0] == firmer
 
 
 def test_a_silent_robot_is_written_with_its_likeliest_address(
@@ -270,13 +273,69 @@ def test_the_robot_is_asked_for_until_it_is_an_address() -> None:
     assert found.url == robot.url
 
 
+def test_a_grid_that_does_not_fit_is_asked_for_again() -> None:
+    with (
+        FakePort(STREAM, ENCODE, loop=True) as port,
+        Terminal("init", "--port", port.path, "--baud", "115200") as terminal,
+    ):
+        terminal.until("Rows and columns? [10x10] (as fabric-grid)")
+        terminal.answer("8x8", "209 bytes a frame do not fit 8x8 cells", "Rows and columns? [10x10]")
+        terminal.answer("8x8", "Leave the pad alone")
+
+
+def test_a_pad_unplugged_while_the_grid_is_asked_for_is_one_line() -> None:
+    with FakePort(STREAM, ENCODE, loop=True) as port:
+        terminal = Terminal("init", "--port", port.path, "--baud", "115200")
+        terminal.until("Rows and columns?")
+    with terminal:
+        terminal.answer("", f"{port.path} went away: unplugged or switched off?", "The robot's name")
+
+
+def wandering_then_held(row: int, column: int, held_s: float) -> Stream:
+    """A fabric pad at rest, under a hand that wanders, and under one that holds a place."""
+    wandering = pressed(10, 10, 1023, np.random.default_rng(1))
+    y, x = np.mgrid[0:10, 0:10]
+    hand = 500 * np.exp(-(((y - row) / 2) ** 2) - ((x - column) / 2) ** 2)
+    held = wandering[:1] + np.repeat(hand[None], round(50 * held_s), axis=0)
+    counts = np.concatenate([wandering, held])[:, 1:9, 1:9].clip(0, 1023).astype(np.uint16)
+    return Stream(counts, [20 * number for number in range(len(counts))], ())
+
+
+@pytest.mark.parametrize(("row", "column", "turn"), [(1, 1, 0), (1, 8, 270), (8, 8, 180), (8, 1, 90)])
+def test_the_corner_is_where_the_hand_stays(
+    row: int, column: int, turn: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hand, "_follows", lambda *_: True)
+    pad = FakePort(wandering_then_held(row, column, 4.0), ENCODE)
+    with pad as port, open_port(port.path, 115_200) as opened:
+        at_rest = listen(opened, 0.5)
+        turned = turned_with_a_hand(Console(quiet=True), opened, PRESETS["fabric-grid"], at_rest)
+    assert turned == replace(PRESETS["fabric-grid"], turn=turn)
+
+
+@pytest.mark.slow
+def test_all_is_asked_again_until_the_picture_follows() -> None:
+    with (
+        FakePort(wandering_then_held(1, 1, 4.0), ENCODE, loop=True) as port,
+        Terminal("init", "--port", port.path, "--baud", "115200") as terminal,
+    ):
+        terminal.until("Rows and columns?")
+        terminal.answer("", "Does the picture follow it?")
+        terminal.answer("n", "Does the picture follow it?")
+        terminal.answer("n", "once more: are the rows and columns right?", "Rows and columns?")
+        terminal.answer("", "Does the picture follow it?")
+        terminal.answer("y", "The robot's name or address")
+        terminal.answer("", " doctor -c")
+    assert load(FILE).sensor.described == PRESETS["fabric-grid"]
+
+
 @pytest.mark.slow
 def test_the_robot_is_asked_for_tried_and_used(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(Path("state").absolute()))
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
-    with Robot() as robot, FakePort(STREAM, ENCODE, loop=True) as port:
+    with Robot() as robot, FakePort(wandering_then_held(1, 1, 4.0), ENCODE, loop=True) as port:
         with Terminal("init", "--port", port.path, "--baud", "115200") as terminal:
-            # init asks for presses; the recording contains them.
+            # init asks for presses; the stream contains them.
             terminal.until("Rows and columns? [10x10] (as fabric-grid)")
             terminal.answer("10", "'10' is not ROWSxCOLUMNS of 4 to 64 each, as in 16x16")
             terminal.answer("", "Leave the pad alone")
