@@ -1,6 +1,7 @@
 """A pad on the network: over TCP touchd connects to it, over UDP it listens for what the pad sends."""
 
 import logging
+import re
 import select
 import socket
 import time
@@ -11,6 +12,7 @@ from touchd.drivers.pad.why_not import ClosedAtOnceError
 
 log = logging.getLogger(__name__)
 
+ADDRESS = re.compile(r"(tcp|udp|socket)://(\[[^\s\]]+\]|[^\s/:?]+)(?::(\d{0,5}))?")
 CONNECT_S = 3.0
 MAX_BYTES = 65536
 # A server that is busy may say so before it closes the connection, as ser2net does; quote this much of it.
@@ -18,6 +20,25 @@ LONGEST_REFUSAL = 80
 # Over UDP, another board is read once the current one has sent no frame for GONE_S, or for TURN_S if it has
 # not sent any frame yet.
 GONE_S, TURN_S = 2.0, 0.5
+
+
+def address_of(port: str) -> tuple[str, str, int] | None:
+    """Return "tcp" or "udp", host and number of a pad's address on the network, None for another port.
+
+    Raises ValueError for an address that is malformed.
+    """
+    if port.startswith("rfc2217://"):
+        # pyserial reads it into a queue that has no limit.
+        raise ValueError("not supported; set the server to raw TCP and write tcp://HOST:PORT")
+    if not port.startswith(("tcp://", "udp://", "socket://")):
+        return None
+    # pyserial takes options after a question mark.
+    match = ADDRESS.fullmatch(port.partition("?")[0] if port.startswith("socket") else port)
+    if match is not None and not match[3]:
+        raise ValueError(f"lacks its port; write it as in {port.rstrip(':')}:4000")
+    if match is None or int(match[3]) > 65535:
+        raise ValueError("not an address such as tcp://192.168.1.20:4000 or udp://0.0.0.0:4000")
+    return None if match[1] == "socket" else (match[1], match[2].strip("[]"), int(match[3]))
 
 
 class NetworkPort:

@@ -21,8 +21,6 @@ from touchd.drivers.pad.why_not import programs_at, shared, why_not_opened, why_
 READ_TIMEOUT_S = 0.1
 READ_BYTES = 65536
 
-ADDRESS = re.compile(r"(tcp|udp|socket)://(\[[^\s\]]+\]|[^\s/:?]+)(?::(\d{0,5}))?")
-
 if typing.TYPE_CHECKING:
     from touchd.drivers.pad.network import NetworkPort
 
@@ -46,8 +44,11 @@ def check_port(port: str, baud: int) -> None:
     Does not open it: opening restarts an Arduino, and disturbs whoever reads it already.
     """
     try:
-        if _network_address(port):
-            return
+        if "://" in port:
+            from touchd.drivers.pad.network import address_of
+
+            if address_of(port):
+                return
         serial.serial_for_url(port, baudrate=baud, do_not_open=True)
         if "://" in port:
             return
@@ -62,10 +63,11 @@ def check_port(port: str, baud: int) -> None:
 def open_port(port: str, baud: int) -> Line:
     """Open `port` for this program alone; raise SensorError when that fails."""
     try:
-        if address := _network_address(port):
-            from touchd.drivers.pad.network import NetworkPort
+        if "://" in port:
+            from touchd.drivers.pad.network import NetworkPort, address_of
 
-            return NetworkPort(port, *address, READ_TIMEOUT_S)
+            if address := address_of(port):
+                return NetworkPort(port, *address, READ_TIMEOUT_S)
         opened = serial.serial_for_url(port, baudrate=baud, timeout=READ_TIMEOUT_S, exclusive=True)
     except (OSError, ValueError, LookupError, re.error, termios.error) as error:
         raise why_not_opened(port, error) from error
@@ -112,25 +114,6 @@ def forget_waiting(opened: Line) -> None:
 def reads_all(opened: Line) -> bool:
     """Whether one read returns all that has arrived, as on a serial port; over UDP it is a datagram."""
     return type(opened) is serial.Serial or (not isinstance(opened, serial.SerialBase) and opened.is_stream)
-
-
-def _network_address(port: str) -> tuple[str, str, int] | None:
-    """Return "tcp" or "udp", host and number of a pad's address on the network, None for another port.
-
-    Raises ValueError for an address that is malformed.
-    """
-    if port.startswith("rfc2217://"):
-        # pyserial reads it into a queue that has no limit.
-        raise ValueError("not supported; set the server to raw TCP and write tcp://HOST:PORT")
-    if not port.startswith(("tcp://", "udp://", "socket://")):
-        return None
-    # pyserial takes options after a question mark.
-    match = ADDRESS.fullmatch(port.partition("?")[0] if port.startswith("socket") else port)
-    if match is not None and not match[3]:
-        raise ValueError(f"lacks its port; write it as in {port.rstrip(':')}:4000")
-    if match is None or int(match[3]) > 65535:
-        raise ValueError("not an address such as tcp://192.168.1.20:4000 or udp://0.0.0.0:4000")
-    return None if match[1] == "socket" else (match[1], match[2].strip("[]"), int(match[3]))
 
 
 def _read(fd: int) -> bytes:

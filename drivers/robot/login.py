@@ -20,6 +20,19 @@ MAX_TOKEN_BYTES = 4096
 PORTS = {"tcp": 9559, "tcps": 9503}
 
 
+class Authenticator:
+    """Supplies libqi with the login; libqi calls both methods by these names. It refuses a frozen object."""
+
+    def __init__(self, login: Login) -> None:
+        self._login = login
+
+    def newAuthenticator(self) -> "Authenticator":  # noqa: N802
+        return self
+
+    def initialAuthData(self) -> dict[str, str]:  # noqa: N802
+        return {"user": self._login.user, "token": self._login.token}
+
+
 def without_password(address: str) -> str:
     """Return an address that may be shown: what is before an @ may be a password."""
     return re.sub(r"//.*@", "//***@", address)

@@ -139,7 +139,9 @@ class QiSession:
         self._session = self._qi.Session()
         self._proxies: dict[str, Any] = {}
         if login is not None:
-            self._session.setClientAuthenticatorFactory(_Authenticator(login))
+            from touchd.drivers.robot.login import Authenticator
+
+            self._session.setClientAuthenticatorFactory(Authenticator(login))
 
     def connect(self) -> None:
         connecting = self._session.connect(self._url, _async=True)
@@ -189,16 +191,3 @@ class QiSession:
             first_line = (str(error).splitlines() or [type(error).__name__])[0]
             because = one_line(f"{what}: {first_line}")
             raise (RobotRefused if self.connected() else RobotLost)(because) from error
-
-
-class _Authenticator:
-    """Supplies libqi with the login; libqi calls both methods by these names. It refuses a frozen object."""
-
-    def __init__(self, login: Login) -> None:
-        self._login = login
-
-    def newAuthenticator(self) -> "_Authenticator":  # noqa: N802
-        return self
-
-    def initialAuthData(self) -> dict[str, str]:  # noqa: N802
-        return {"user": self._login.user, "token": self._login.token}
