@@ -13,7 +13,7 @@ from typing import Annotated, Literal, TypeAlias
 import msgspec
 
 from touchd.daemon.actions import ActionRule, Name
-from touchd.daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings, RosbridgeSettings, Section
+from touchd.daemon.bridge_settings import LslSettings, MqttSettings, Ros2Settings, RosbridgeSettings, Section
 from touchd.daemon.decide import DecisionSettings
 from touchd.daemon.pipeline import PipelineSettings
 from touchd.daemon.strict_yaml import StrictYamlError, convert

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from touchd.daemon.bridges.settings import MEMORY_FILES
+from touchd.daemon.bridge_settings import MEMORY_FILES
 from touchd.daemon.config import JournalSettings, SceneSettings, Settings, config_errors
 from touchd.daemon.events import Event
 from touchd.daemon.monitor import PadMonitor
 from touchd.daemon.pipeline import Pipeline, Viewers
 from touchd.daemon.sinks import Sink
 from touchd.drivers.errors import written_out
-from touchd.drivers.frame import COLUMNS, NO_TOUCH, ROWS
+from touchd.drivers.frame import COLUMNS, ROWS
 from touchd.drivers.pad.port import SensorError, check_port
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.pad.sensor import FrameQueue, Sensor
@@ -107,30 +107,19 @@ def make_parts(
 
         live = open_live_page(settings, models, labeller)
         sinks.append(live)
-    bridges = bridges_to_others(settings, models, config)
-    sinks += bridges
+    bridges: tuple[Bridge, ...] = ()
+    state = JournalSettings().file.parent
+    # A former configuration may have left something on a broker, which is cleared.
+    if any(settings.bridges.values()) or (config is not None and any(state.glob(MEMORY_FILES))):
+        from touchd.daemon.bridges.bridges import make_bridges
+
+        bridges = make_bridges(settings, models, state, config)
+        sinks += bridges
     if settings.robot is not None:
         from touchd.daemon.robot import link_to_robot
 
         sinks.append(link_to_robot(settings, emit))
     return Parts(tuple(pads), tuple(sinks), live, kept, bridges, labeller)
-
-
-def bridges_to_others(
-    settings: Settings, models: Mapping[str, Classifier], config: Path | None = None
-) -> tuple[Bridge, ...]:
-    """Return the configured bridges, and what clears the traces of former ones; raises BridgeError."""
-    state = JournalSettings().file.parent
-    has_traces = config is not None and any(state.glob(MEMORY_FILES))
-    if not any(settings.bridges.values()) and not has_traces:
-        return ()
-    from touchd.daemon.bridges.bridges import make_bridges
-
-    gestures = {
-        name: pad.scene.gestures or tuple(label for label in models[name].labels if label != NO_TOUCH)
-        for name, pad in settings.pads.items()
-    }
-    return tuple(make_bridges(settings.bridges, gestures, state, config))
 
 
 def load_model(settings: Settings) -> Classifier:

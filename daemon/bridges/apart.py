@@ -21,8 +21,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from touchd.daemon.bridge_settings import LslSettings, Ros2Settings
 from touchd.daemon.bridges.bridge import GOODBYE_S, POLL_S, Bridge, ConnectedBridge, bridge_class
-from touchd.daemon.bridges.settings import LslSettings, Ros2Settings
 from touchd.daemon.events import Event, encode
 from touchd.drivers.frame import COLUMNS, ROWS, Frame
 

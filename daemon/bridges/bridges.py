@@ -5,26 +5,30 @@ import logging
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
+from touchd.daemon.bridge_settings import LslSettings, MqttSettings, Ros2Settings, Section
 from touchd.daemon.bridges.bridge import Bridge, BridgeError, bridge_class
-from touchd.daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings, Section
+from touchd.daemon.config import Settings
+from touchd.drivers.frame import NO_TOUCH
 from touchd.drivers.installed import EXTRAS, how_to_install
+from touchd.model.classifier import Classifier
 
 log = logging.getLogger(__name__)
 
 
 def make_bridges(
-    sections: Mapping[str, Section | None],
-    gestures: Mapping[str, Sequence[str]],
-    state: Path,
-    config: Path | None = None,
-) -> list[Bridge]:
+    settings: Settings, models: Mapping[str, Classifier], state: Path, config: Path | None
+) -> tuple[Bridge, ...]:
     """Return the configured bridges, not yet started, and those that clear what former ones left on a broker.
 
-    gestures: that each pad can tell. state: the state folder. config: the file of the sections; without one
-    nothing is remembered. Raises BridgeError when a bridge cannot be used as configured.
+    models: of each pad. state: the state folder. config: the file of the settings; without one nothing is
+    remembered. Raises BridgeError when a bridge cannot be used as configured.
     """
+    gestures = {
+        name: pad.scene.gestures or tuple(label for label in models[name].labels if label != NO_TOUCH)
+        for name, pad in settings.pads.items()
+    }
     bridges: list[Bridge] = []
-    for name, section in sections.items():
+    for name, section in settings.bridges.items():
         if isinstance(section, LslSettings | Ros2Settings):
             bridges.append(_make(name, section, tuple(gestures), ()))
         elif isinstance(section, MqttSettings):
@@ -32,9 +36,8 @@ def make_bridges(
         elif section is not None:
             bridges += [_make(name, section, (pad,), tuple(own)) for pad, own in gestures.items()]
     if config is not None:
-        mqtt = sections.get("mqtt")
-        bridges += _clearings(mqtt if isinstance(mqtt, MqttSettings) else None, gestures, state, config)
-    return bridges
+        bridges += _clearings(settings.mqtt, gestures, state, config)
+    return tuple(bridges)
 
 
 def _mqtt_bridges(section: MqttSettings, gestures: Mapping[str, Sequence[str]]) -> list[Bridge]:

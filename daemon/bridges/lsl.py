@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 import pylsl
 from msgspec import UNSET
 
+from touchd.daemon.bridge_settings import LslSettings
 from touchd.daemon.bridges.bridge import Bridge, Item
-from touchd.daemon.bridges.settings import LslSettings
 from touchd.daemon.events import Event, Prediction, epoch_s, kind_of
 from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
 

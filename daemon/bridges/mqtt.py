@@ -16,6 +16,7 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
+from touchd.daemon.bridge_settings import MqttSettings
 from touchd.daemon.bridges.bridge import (
     MOST_FRAMES,
     POLL_S,
@@ -26,7 +27,6 @@ from touchd.daemon.bridges.bridge import (
     arrival_s,
 )
 from touchd.daemon.bridges.retained import entity_of, topics_of
-from touchd.daemon.bridges.settings import MqttSettings
 from touchd.daemon.events import UNCERTAIN, Event, SensorEvent, encode, kind_of, timestamp
 from touchd.drivers.errors import written_out
 from touchd.drivers.frame import Frame

@@ -31,8 +31,8 @@ from rigs.peers import MOSQUITTO, broker, subscribed
 from rigs.soak_line import pad
 from rigs.sockets import free_port
 
+from touchd.daemon.bridge_settings import MqttSettings
 from touchd.daemon.bridges.bridges import make_bridges
-from touchd.daemon.bridges.settings import MqttSettings
 from touchd.daemon.config import LiveSettings, Settings
 from touchd.daemon.events import Event, TouchEnded, encode
 from touchd.daemon.journal import Journal, JournalSink
@@ -141,7 +141,7 @@ class Soak:
         robot_sink = RobotSink(self._link)
         self.broker = Broker(folder)
         mqtt = MqttSettings(host="127.0.0.1", port=self.broker.port, discovery=None)
-        self._bridges = make_bridges({"mqtt": mqtt}, {"pad": model.labels}, folder)
+        self._bridges = make_bridges(Settings(mqtt=mqtt), {"pad": model}, folder, None)
         self._sinks = (
             self._journal_sink,
             robot_sink,

@@ -14,9 +14,10 @@ from rigs.peers import PAD, LslPeer, Ros2Peer, RosbridgePeer, frame, inlet_of, r
 from rigs.scripted_model import Scripted
 from rigs.wait import WITHIN_S, wait_for
 
+from touchd.daemon.bridge_settings import LslSettings, Ros2Settings
 from touchd.daemon.bridges.apart import ApartBridge
 from touchd.daemon.bridges.bridge import BridgeError
-from touchd.daemon.bridges.settings import LslSettings, Ros2Settings
+from touchd.daemon.bridges.bridges import make_bridges
 from touchd.daemon.config import Settings
 from touchd.daemon.events import (
     Label,
@@ -28,7 +29,6 @@ from touchd.daemon.events import (
     timestamp,
 )
 from touchd.daemon.kept.touches import decode
-from touchd.daemon.parts import bridges_to_others
 
 
 def test_a_library_that_cannot_be_loaded_is_named(
@@ -49,7 +49,7 @@ def test_a_library_that_cannot_be_loaded_is_named(
 def test_a_missing_extra_is_one_line_at_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
     with pytest.raises(BridgeError, match=r"lsl: pylsl is not installed: .*pip install .*pylsl"):
-        bridges_to_others(Settings(lsl=LslSettings()), {PAD: Scripted()})
+        make_bridges(Settings(lsl=LslSettings()), {PAD: Scripted()}, Path(), None)
 
 
 def lsl_bridge(peer: LslPeer) -> Any:

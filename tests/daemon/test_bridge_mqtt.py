@@ -22,13 +22,13 @@ from rigs.scripted_model import Scripted
 from rigs.sockets import free_port
 from rigs.wait import WITHIN_S, wait_for
 
+from touchd.daemon.bridge_settings import MqttSettings
 from touchd.daemon.bridges.bridge import Bridge, BridgeError
+from touchd.daemon.bridges.bridges import make_bridges
 from touchd.daemon.bridges.retained import OnBroker, Retained, file_for
-from touchd.daemon.bridges.settings import MqttSettings
-from touchd.daemon.config import PadSettings, SceneSettings, Settings
+from touchd.daemon.config import JournalSettings, PadSettings, SceneSettings, Settings
 from touchd.daemon.events import SensorEvent, encode
 from touchd.daemon.kept.touches import decode
-from touchd.daemon.parts import bridges_to_others
 
 MQTTv311 = pytest.importorskip("paho.mqtt.client").MQTTv311
 pytestmark = needs_mosquitto
@@ -57,7 +57,7 @@ Open = Callable[..., Bridge]
 def made(port: int, **settings: Any) -> list[Bridge]:
     scene = SceneSettings(gestures=settings.pop("gestures", None))
     mqtt = MqttSettings(**({"host": "127.0.0.1", "port": port} | settings))
-    return list(bridges_to_others(Settings(mqtt=mqtt, scene=scene), MODELS))
+    return list(make_bridges(Settings(mqtt=mqtt, scene=scene), MODELS, Path(), None))
 
 
 @pytest.fixture
@@ -281,7 +281,8 @@ def configured(tmp_path: Path) -> Iterator[Configured]:
     def configure(name: str, mqtt: MqttSettings | None, **settings: Any) -> tuple[Bridge, ...]:
         (tmp_path / name).touch()
         models = {"pad": Scripted(), "arm": Scripted()}
-        bridges = bridges_to_others(Settings(mqtt=mqtt, **settings), models, tmp_path / name)
+        state = JournalSettings().file.parent
+        bridges = make_bridges(Settings(mqtt=mqtt, **settings), models, state, tmp_path / name)
         started.extend(bridges)
         for bridge in bridges:
             bridge.start()

@@ -21,8 +21,8 @@ from rigs.running_daemon import Daemon
 from rigs.sockets import LISTENS, free_port, sockets
 from rigs.wait import AT_ONCE_S, wait_for
 
+from touchd.daemon.bridge_settings import LslSettings, MqttSettings, Ros2Settings, RosbridgeSettings
 from touchd.daemon.bridges.bridge import Bridge
-from touchd.daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings, RosbridgeSettings
 from touchd.daemon.config import LiveSettings, PadSettings, SensorSettings
 from touchd.daemon.events import SensorEvent
 from touchd.daemon.log import MOST_LINES

@@ -20,7 +20,7 @@ from rigs.wait import WITHIN_S, wait_for
 
 from touchd.daemon import cli
 from touchd.daemon.actions import Action, ActionRule
-from touchd.daemon.bridges.settings import MqttSettings
+from touchd.daemon.bridge_settings import MqttSettings
 from touchd.daemon.commands.one_pad import only_pad
 from touchd.daemon.config import (
     ConfigError,

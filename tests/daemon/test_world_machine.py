@@ -34,10 +34,10 @@ from rigs.sockets import free_port
 from rigs.wait import wait_for
 from websockets.sync.client import connect
 
+from touchd.daemon.bridge_settings import MqttSettings, RosbridgeSettings
 from touchd.daemon.bridges.bridge import Bridge
 from touchd.daemon.bridges.mqtt import MqttBridge
 from touchd.daemon.bridges.rosbridge import RosbridgeBridge
-from touchd.daemon.bridges.settings import MqttSettings, RosbridgeSettings
 from touchd.daemon.config import JournalSettings, LiveSettings, SceneSettings, SensorSettings, Settings
 from touchd.daemon.events import Event, SensorEvent
 from touchd.daemon.journal import Journal, JournalSink
