@@ -431,6 +431,13 @@ OUTSIDE = """
     return out({ left: 0, right: innerWidth }, box) || (one.closest('#flags') && out(course, box));
   }).map((one) => `${one.tagName} ${one.id} ${one.className}`);
 """
+# How far the answer reaches beyond its column.
+BEYOND = """
+  const one = document.getElementById('gesture');
+  const text = document.createRange();
+  text.selectNodeContents(one);
+  return text.getBoundingClientRect().right - one.getBoundingClientRect().right;
+"""
 # Whether one element covers another.
 COVERS = """
   const [a, b] = [...arguments].map((name) => document.querySelector(name).getBoundingClientRect());
@@ -508,6 +515,30 @@ def test_nothing_overflows_with_the_longest_words(
     for other in ("#pad", "#line", "#answer"):
         assert not chrome.execute_script(COVERS, "#legend", other), other
         assert not chrome.execute_script(COVERS, "#enter", other), other
+
+
+def test_the_widest_name_stays_within_its_column(chrome: Chrome) -> None:
+    try:
+        with serving(language="de") as served:
+            put_a_touch(served, ["constant", "constant", "constant"])
+            for width, height in SIZES:
+                show_in(chrome, width, height)
+                for anchor in ("", "#visitors"):
+                    look_at(chrome, served, anchor)
+                    assert text_of(chrome, "#gesture") == "ruhende Hand"
+                    assert chrome.execute_script(BEYOND) <= 0, (width, height, anchor)
+    finally:
+        show_in(chrome, 1280, 800)
+
+
+def test_two_pads_fit_a_window(chrome: Chrome) -> None:
+    pads = {"head": PadSettings(port="a"), "arm": PadSettings(port="b")}
+    show_in(chrome, 1280, 800)
+    with serving(sensors=pads) as served:
+        chrome.get(f"http://127.0.0.1:{served.port}/")
+        wait_for(lambda: len(chrome.find_elements(By.CSS_SELECTOR, "#pads button")) == 2)
+        served.put_frame(pad="head")
+        assert chrome.execute_script("return document.documentElement.scrollHeight") <= 800
 
 
 def test_visitors_on_a_phone_find_the_way_out(chrome: Chrome, worded: Served) -> None:

@@ -1,5 +1,6 @@
 """A pad that viewers of the page touch; nobody can touch the page of `run`."""
 
+import itertools
 import json
 import math
 import random
@@ -166,6 +167,23 @@ def page(chrome: Chrome) -> Iterator[Chrome]:
         yield chrome
         demo.terminate()
         assert demo.wait(WITHIN_S) == 0
+
+
+def test_visitors_on_a_phone_can_read_every_line(page: Chrome) -> None:
+    shown = """
+      const seen = [...document.querySelectorAll('.square, #tries, #legend')]
+        .filter((one) => one.checkVisibility()).map((one) => one.getBoundingClientRect());
+      return seen.map(({ top, bottom }) => [top, bottom]).sort((a, b) => a[0] - b[0]);
+    """
+    show_in(page, 390, 844)
+    page.find_element(By.ID, "enter").click()
+    try:
+        wait_for(lambda: page.execute_script("return document.body.hasAttribute('data-visitors')"))
+        places = page.execute_script(shown)
+        assert all(above[1] <= below[0] for above, below in itertools.pairwise(places)), places
+    finally:
+        page.find_element(By.ID, "enter").click()
+        show_in(page, 800, 600)
 
 
 class FakePad(NamedTuple):
