@@ -17,8 +17,6 @@ from touchd.drivers.queue import DroppingQueue, Signal
 log = logging.getLogger(__name__)
 
 FIRST_RETRY_S = 0.1
-# After bytes without a frame for this long, open the port again: another program may have set it differently.
-FRAMELESS_S = 30.0
 # A loop that took longer was suspended, so missing bytes prove nothing about the pad.
 PAUSED_S = 1.0
 # After a read of FLOOD_BYTES, sleep FLOOD_REST times the parse time, at most LONGEST_REST_S.
@@ -53,32 +51,19 @@ class Sensor:
     every `silence_s` without frames. The port is reopened whenever it fails, after FIRST_RETRY_S and then
     ever longer up to longest_retry_s. Without a frame for silence_s the pad is down. After reopen_after_s
     without a byte the port is reopened, which restarts an Arduino that hangs; after frameless_s without a
-    frame too. A frame's host_s is when its last byte was read.
+    frame too, for another program may have set it differently. A frame's host_s is when its last byte was
+    read.
     frames_together: how many of the next frames may be read at once, of a pad with a clock.
     parser: turns the port's bytes into frames; its counts may be read from any thread.
     """
 
-    def __init__(
-        self,
-        port: str,
-        baud: int,
-        parser: FrameParser,
-        queue: FrameQueue,
-        *,
-        longest_retry_s: float = 1.0,
-        silence_s: float = 2.0,
-        reopen_after_s: float = 10.0,
-        frameless_s: float = FRAMELESS_S,
-    ) -> None:
+    longest_retry_s, silence_s, reopen_after_s, frameless_s = 1.0, 2.0, 10.0, 30.0
+
+    def __init__(self, port: str, baud: int, parser: FrameParser, queue: FrameQueue) -> None:
         self._port = port
         self._baud = baud
         self.parser = parser
         self._queue = queue
-        self._longest_retry_s = longest_retry_s
-        self._backoff = Backoff(FIRST_RETRY_S, longest_retry_s)
-        self._silence_s = silence_s
-        self._reopen_after_s = reopen_after_s
-        self._frameless_s = frameless_s
         self._is_up = False
         self._is_shared = False
         self._silent_openings = 0
@@ -112,6 +97,7 @@ class Sensor:
             self._thread.join(timeout_s)
 
     def _run(self) -> None:
+        backoff = Backoff(FIRST_RETRY_S, self.longest_retry_s)
         while not self._stop.is_set():
             begun_s = time.monotonic()
             try:
@@ -128,9 +114,9 @@ class Sensor:
                 # Retry after any error: a dead reader would stay down.
                 log.debug("the reader of %s failed", self._port, exc_info=True)
                 self._report_down("internal", f"internal error while reading {self._port}: {error!r}")
-            if time.monotonic() - begun_s > self._longest_retry_s:
-                self._backoff.reset()
-            self._stop.wait(self._backoff.pause_s())
+            if time.monotonic() - begun_s > self.longest_retry_s:
+                backoff.reset()
+            self._stop.wait(backoff.pause_s())
 
     def _read(self, opened: Line) -> None:
         """Read until stopped, or until the port should be opened again."""
@@ -163,10 +149,10 @@ class Sensor:
                 if len(data) >= FLOOD_BYTES:
                     # Leave the processor to others.
                     self._stop.wait(min(FLOOD_REST * (time.monotonic() - now_s), LONGEST_REST_S))
-            if now_s - byte_s > self._reopen_after_s or now_s - frame_s > self._frameless_s:
+            if now_s - byte_s > self.reopen_after_s or now_s - frame_s > self.frameless_s:
                 return
-            if now_s - max(frame_s, reported_s) > self._silence_s:
-                reported_s, is_silent = now_s, now_s - byte_s > self._silence_s
+            if now_s - max(frame_s, reported_s) > self.silence_s:
+                reported_s, is_silent = now_s, now_s - byte_s > self.silence_s
                 self._report_no_frames(recent, is_silent=is_silent)
                 recent = b"" if is_silent else recent
 
@@ -194,7 +180,7 @@ class Sensor:
             question = "is it the pad's port, and does the pad run?"
             if is_udp:
                 question = "does the board run, and send to this machine and port?"
-            why = f"no data for {self._silence_s:g} s: {question}"
+            why = f"no data for {self.silence_s:g} s: {question}"
         self._report_down(cause, f"{self.where}: {why}")
 
     def _report_down(self, cause: str, reason: str) -> None:

@@ -49,7 +49,10 @@ def sensing(
     before = len(os.listdir("/proc/self/fd"))
     queue = MonitoredQueue()
     pauses_s = {"longest_retry_s": 0.2, "silence_s": 0.5} | options
-    sensor = Sensor(port, BAUD, protocol or FabricGrid(), queue, **pauses_s)
+    sensor = Sensor(port, BAUD, protocol or FabricGrid(), queue)
+    for name, pause_s in pauses_s.items():
+        assert hasattr(sensor, name)
+        setattr(sensor, name, pause_s)
     sensor.start()
     try:
         yield queue
