@@ -16,7 +16,8 @@ from touchd.daemon.actions import ActionRule, Name
 from touchd.daemon.bridge_settings import LslSettings, MqttSettings, Ros2Settings, RosbridgeSettings, Section
 from touchd.daemon.decide import DecisionSettings
 from touchd.daemon.pipeline import PipelineSettings
-from touchd.daemon.strict_yaml import StrictYamlError, convert
+from touchd.daemon.strict_yaml import ConfigError as ConfigError
+from touchd.daemon.strict_yaml import convert
 from touchd.daemon.tracker.tracker import TouchSettings
 from touchd.drivers.errors import TouchdError, written_out
 from touchd.drivers.frame import DEFAULT_PAD
@@ -40,10 +41,6 @@ Language: TypeAlias = Literal["en", "de"]
 Length = Annotated[float, msgspec.Meta(ge=0.001, le=10_000)]
 
 
-class ConfigError(TouchdError):
-    """The settings cannot be used; the message is one line that names what is wrong and what to do."""
-
-
 @contextmanager
 def config_errors(prefix: str = "") -> Iterator[None]:
     """Raise any error that a configuration causes as ConfigError, but not a lack of descriptors or memory."""
@@ -51,8 +48,6 @@ def config_errors(prefix: str = "") -> Iterator[None]:
         yield
     except (TouchdError, ImportError, MemoryError):
         raise
-    except StrictYamlError as error:
-        raise ConfigError(f"{prefix}{error}") from error
     except Exception as error:
         if isinstance(error, OSError) and error.errno in NO_ROOM:
             raise
@@ -214,4 +209,4 @@ def load(path: Path) -> Settings:
     if len(text) > MAX_BYTES:
         raise ConfigError(f"{path}: larger than {MAX_BYTES // 1024} KiB, so not a touchd configuration")
     with config_errors(f"{path}: "):
-        return convert(text, Settings)
+        return convert(str(path), text, Settings)

@@ -6,13 +6,15 @@ from typing import Any, TypeVar
 import msgspec
 import yaml
 
+from touchd.drivers.errors import TouchdError
+
 T = TypeVar("T", bound=msgspec.Struct)
 
 MERGE_TAG = "tag:yaml.org,2002:merge"
 
 
-class StrictYamlError(Exception):
-    """The text is not YAML, or not what the struct asks for; the message is one line."""
+class ConfigError(TouchdError):
+    """The settings cannot be used; the message is one line that names what is wrong and what to do."""
 
 
 class StrictLoader(yaml.SafeLoader):
@@ -46,22 +48,25 @@ def _problem(what: str, place: Any) -> yaml.MarkedYAMLError:
     return yaml.constructor.ConstructorError(problem=what, problem_mark=place.start_mark)
 
 
-def convert(text: bytes | str, struct: type[T]) -> T:
-    """Return the struct that YAML text describes; an empty text is all defaults. Raises StrictYamlError."""
+def convert(where: str, text: bytes, struct: type[T]) -> T:
+    """Return the struct that YAML text describes; an empty text is all defaults. Raises ConfigError.
+
+    where: the text stands, for messages.
+    """
     try:
         raw = StrictLoader(text).get_single_data()
     except yaml.MarkedYAMLError as error:
         from touchd.daemon.mistakes import explain_yaml
 
-        raise StrictYamlError(explain_yaml(error)) from error
+        raise ConfigError(f"{where}: {explain_yaml(error)}") from error
     except yaml.reader.ReaderError as error:
         line = len(text[: error.position + 1].splitlines())
-        raise StrictYamlError(f"line {line}: {error.reason}; save the file as UTF-8 text") from error
+        raise ConfigError(f"{where}: line {line}: {error.reason}; save the file as UTF-8 text") from error
     except (yaml.YAMLError, RecursionError, ValueError) as error:
-        raise StrictYamlError(f"not YAML: {error}") from error
+        raise ConfigError(f"{where}: not YAML: {error}") from error
     try:
         return msgspec.convert({} if raw is None else raw, struct)
     except msgspec.ValidationError as error:
         from touchd.daemon.mistakes import explain
 
-        raise StrictYamlError(explain(str(error), struct)) from error
+        raise ConfigError(f"{where}: {explain(str(error), struct)}") from error

@@ -4,7 +4,7 @@ Every error that a user sees; the command shows its message and exits with code 
 
 TouchdError
     UsageError         daemon/usage.py              the command line
-    ConfigError        daemon/config.py             the configuration
+    ConfigError        daemon/strict_yaml.py        the configuration
     PathError          drivers/errors.py            a path's home
     SensorError        drivers/pad/why_not.py       the pad's port
     FormatError        drivers/pad/format.py        the description of a pad
