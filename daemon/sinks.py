@@ -75,7 +75,6 @@ class QueuedSink(ABC, Generic[Item]):
         self._log = log
         self._faults = FaultLog(log, f"{name}: ")
         self._items: DroppingQueue[Item | None] = DroppingQueue(self.capacity, _may_drop)
-        self._draining = False
         self._abandoned = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"touchd-{name}", daemon=True)
 
@@ -93,7 +92,6 @@ class QueuedSink(ABC, Generic[Item]):
         """Write what is queued, for at most half of `timeout_s`, then give up the rest; may be repeated."""
         if self._thread.ident is None:
             return
-        self._draining = True
         self._items.put(None)
         self._thread.join(timeout_s / 2)
         is_cut_short = not self._abandoned.is_set()

@@ -64,9 +64,14 @@ class Bridge(QueuedSink[Item]):
         self._next_frame_s = dict.fromkeys(pads, 0.0)
         self._peer_is_there = threading.Event()
         self._was_reported = False
+        self._draining = False
         self._there_since_s = 0.0
         self._backoff = Backoff(BACKOFF_FIRST_S, BACKOFF_CAP_S)
         super().__init__(name, logging.getLogger(f"touchd.daemon.bridges.{name}"))
+
+    def stop(self, timeout_s: float) -> None:
+        self._draining = True
+        super().stop(timeout_s)
 
     def put(self, item: Item) -> None:
         """Queue an event of these pads or of the robot; never blocks."""
