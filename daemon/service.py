@@ -24,6 +24,7 @@ DRAIN_S = 2.0
 SINKS_STOP_S = 1.2
 
 if typing.TYPE_CHECKING:
+    from touchd.daemon.live.server import LiveServer
     from touchd.daemon.terminal.view import View
 
 log = logging.getLogger(__name__)
@@ -37,12 +38,12 @@ class Service:
 
     def __init__(self, settings: Settings, config: Path | None = None) -> None:
         self._settings = settings
-        self._view: View | None = None
         self._arrived = Signal()
         self._faults = FaultLog(log)
         self.events = EventFanout()
         self._parts = make_parts(settings, self.events.emit, self._viewers, self._arrived, config)
         self.pads = self._parts.pads
+        self._watchers: list[LiveServer | View] = [self._parts.live] if self._parts.live else []
 
     def tell(self, sink: Sink) -> None:
         """Send every event to this sink too, whatever the configuration. Call it before `run`."""
@@ -51,7 +52,7 @@ class Service:
     def show_on(self, view: View) -> None:
         """Show everything on a view, with the frames of the first pad. Call it before `run`."""
         self.tell(view)
-        self._view = view
+        self._watchers.append(view)
         from touchd.daemon.labels import make_labeller
 
         models = {pad.name: pad.model for pad in self.pads}
@@ -83,11 +84,7 @@ class Service:
 
     def _viewers(self) -> list[Callable[[LivePrediction], None]]:
         """Return the current viewers of live predictions."""
-        live, view = self._parts.live, self._view
-        return [
-            *([live.put] if live is not None and live.is_watched else []),
-            *([view.put_live] if view is not None else []),
-        ]
+        return [each.put for each in self._watchers if each.is_watched]
 
     def _end(self) -> None:
         until_s = time.monotonic() + SENSORS_STOP_S
@@ -130,12 +127,9 @@ class Service:
 
     def _show(self, pad: PadChannel, frame: Frame) -> None:
         """Hand a processed frame to everything that shows or checks frames."""
-        parts = self._parts
-        if self._view is not None and pad is self.pads[0]:
-            self._view.show_frame(frame.pressure, frame.sensor_ms)
-        if parts.live is not None:
-            parts.live.put_frame(frame, self._dropped(), pad.name)
-        for bridge in parts.bridges:
+        for each in self._watchers:
+            each.put_frame(frame, self._dropped(), pad.name)
+        for bridge in self._parts.bridges:
             bridge.put_frame(frame, pad.name)
 
     def _stop_sinks(self) -> None:

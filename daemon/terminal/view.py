@@ -36,7 +36,7 @@ from touchd.daemon.terminal.pad_picture import DrawnLine, level_of, pad_picture
 from touchd.daemon.terminal.palette import palette_for
 from touchd.daemon.terminal.time_line import Flag, time_line
 from touchd.daemon.words import Vocabulary, name_of
-from touchd.drivers.frame import COLUMNS, DEFAULT_PAD, FRAME_RATE_HZ, ROWS, Counts
+from touchd.drivers.frame import COLUMNS, DEFAULT_PAD, FRAME_RATE_HZ, ROWS, Counts, Frame
 
 REFRESH_HZ = 12
 TOUCHES = 12
@@ -109,6 +109,7 @@ class View:
         self._doing = ""
         self._notes: deque[tuple[str, bool]] = deque(maxlen=NOTES)
         self.labeller: Labeller | None = None
+        self.is_watched = True
         self._live = Live(
             console=self._console,
             get_renderable=lambda: self,
@@ -120,6 +121,11 @@ class View:
 
     def start(self) -> None:
         """Do nothing; the context manager starts it."""
+
+    def put_frame(self, frame: Frame, dropped: int, pad: str) -> None:
+        """Show a frame if it is the shown pad's. dropped: frames dropped so far, which the log reports."""
+        if pad == self._shown_pad:
+            self.show_frame(frame.pressure, frame.sensor_ms)
 
     def show_frame(self, pressure: Counts, sensor_ms: int) -> None:
         """Show (8, 8) counts at the next refresh. sensor_ms: the sensor's clock."""
@@ -136,12 +142,6 @@ class View:
             self._last_ms = sensor_ms
             if touch is not None:
                 touch.trace.append((touch.length_s + min(step_s, 1.0), load))
-
-    def put_live(self, prediction: LivePrediction) -> None:
-        if prediction.pad == self._shown_pad:
-            with self._lock:
-                self._now = prediction
-                self._name_labels(prediction.probabilities)
 
     def note(self, text: str, is_bad: bool = False) -> None:
         with self._lock:
@@ -169,13 +169,16 @@ class View:
         except LabelError as error:
             self.note(str(error), is_bad=True)
 
-    def put(self, event: Event) -> None:
+    def put(self, event: Event | LivePrediction) -> None:
         if not isinstance(event, RobotEvent) and event.pad != self._shown_pad:
             return
         with self._lock:
             if isinstance(event, TouchBegan | Prediction | TouchEnded):
                 self._now = None
             match event:
+                case LivePrediction():
+                    self._now = event
+                    self._name_labels(event.probabilities)
                 case TouchBegan():
                     shown = ShownTouch(event)
                     shown.trace.extend((n / FRAME_RATE_HZ, load) for n, load in enumerate(self._recent))

@@ -254,7 +254,7 @@ def picture_terminal(path: Path, size: tuple[int, int]) -> None:
     view = View("the daemon at work", words_of(settings), marks, console)
     view.put(SensorEvent(state="up", time=""))
     view.put(RobotEvent(state="up", time=""))
-    play(settings, view.put, view.put_live, lambda frame: view.show_frame(frame.pressure, frame.sensor_ms))
+    play(settings, view.put, view.put, lambda frame: view.show_frame(frame.pressure, frame.sensor_ms))
     view.doing("the simulated hand: rub")
     draw(console, view, path)
 
