@@ -8,10 +8,12 @@ import json
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from operator import attrgetter
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from touchd.drivers.frame import MIN_RATE_HZ, Frame
 from touchd.drivers.pad.arrived import has_text, looks_like
@@ -40,6 +42,23 @@ LONGEST_PAUSE_S = 2.0
 # What a preset and a description of the same pad have in common.
 MEANING = attrgetter("framing", "rows", "columns", "full_scale", "invert")
 ADVICE = "print each frame in a line, or a row a line and an empty line after each; begin bytes with a header"
+
+
+class _Arrived:
+    """What arrived; the lines and the frames in it, looked for once."""
+
+    def __init__(self, chunks: Sequence[Chunk]) -> None:
+        self.chunks = chunks
+        self.data = b"".join(chunk.data for chunk in chunks)
+        self.seconds = seconds_of(chunks)
+
+    @cached_property
+    def lines(self) -> list[text.TextLine] | None:
+        return text.lines_of(self.data)
+
+    @cached_property
+    def tables(self) -> list[NDArray[np.uint8]]:
+        return list(binary.tables(self.data))
 
 
 @dataclass(frozen=True)
@@ -87,13 +106,17 @@ class Finding:
 
 def survey(chunks: Sequence[Chunk]) -> Survey | None:
     """Describe the frames in what arrived, without knowing the grid; None if there are none."""
-    frames = _frames_in(b"".join(chunk.data for chunk in chunks), seconds_of(chunks))
+    return _survey(_Arrived(chunks))
+
+
+def _survey(arrived: _Arrived) -> Survey | None:
+    frames = _frames_in(arrived)
     if frames is None:
         return None
     if frames.lines and all(side in SIDES for side in frames.lines):
         return Survey(frames.size, frames.rate_hz, frames.lines, "as its lines show")
     for name, preset in PRESETS.items():
-        if _is_read(preset, chunks):
+        if _is_read(preset, arrived.chunks):
             return Survey(frames.size, frames.rate_hz, (preset.rows, preset.columns), f"as {name}")
     sides = ((rows, each // rows) for each in frames.fits for rows in SIDES if each % rows == 0)
     grids = (each for each in sides if each[0] <= each[1] and each[1] in SIDES)
@@ -101,18 +124,18 @@ def survey(chunks: Sequence[Chunk]) -> Survey | None:
     return Survey(frames.size, frames.rate_hz, squarest, "the squarest", is_shown=False)
 
 
-def _frames_in(data: bytes, seconds: float) -> _Frames | None:
+def _frames_in(arrived: _Arrived) -> _Frames | None:
     """Measure the frames in what arrived, without knowing the grid; None if there are none."""
-    if (lines := text.lines_of(data)) is None:
-        table = next(binary.tables(data), None)
-        if table is None:
+    seconds = arrived.seconds
+    if arrived.lines is None:
+        if not arrived.tables:
             return None
-        length = table.shape[1] // 2
+        length = arrived.tables[0].shape[1] // 2
         left = range(length - 1, max(length - binary.MOST_AROUND, 0), -1)
         fits = [size // cell for size in left for cell in (1, 2, 4)]
-        return _Frames(f"{length} bytes a frame", len(data) / length / seconds, None, fits)
+        return _Frames(f"{length} bytes a frame", len(arrived.data) / length / seconds, None, fits)
     # Log lines among frames of one line look like separators.
-    found = text.printed(lines)
+    found = text.printed(arrived.lines)
     usual = max(found, key=lambda each: len(each.numbers) >= MIN_RATE_HZ * seconds, default=None)
     if usual is None:
         return None
@@ -138,16 +161,16 @@ def search(chunks: Sequence[Chunk], grid: Grid | None) -> Finding:
     """Search for the description of a pad in its bytes. grid: its rows and columns, if somebody told them."""
     sizes = np.cumsum([len(chunk.data) for chunk in chunks[::-1]])
     chunks = chunks[len(chunks) - int(np.searchsorted(sizes, MOST_BYTES, "right")) :]
-    data = b"".join(chunk.data for chunk in chunks)
-    if not data:
+    if not any(chunk.data for chunk in chunks):
         return Finding(None, "is it the pad's port, and does the pad run?", "nothing arrives")
-    saw = f"{len(data) / seconds_of(chunks):.0f} bytes/s of {looks_like(data)}"
+    arrived = _Arrived(chunks)
+    saw = f"{len(arrived.data) / arrived.seconds:.0f} bytes/s of {looks_like(arrived.data)}"
     # A survey tries every preset, which takes longer than the rest of a search.
-    if grid is None and (seen := survey(chunks)) and seen.is_shown:
+    if grid is None and (seen := _survey(arrived)) and seen.is_shown:
         grid = seen.grid
-    best = _best(data, grid) if grid else None
+    best = _best(arrived, grid) if grid else None
     if best is None:
-        return Finding(None, _why_none_fits(data, _frames_in(data, seconds_of(chunks)), grid), saw)
+        return Finding(None, _why_none_fits(arrived, grid), saw)
     best = replace(best, described=settled(best))
     may_come = bool(missing := objection(best))
     described = best.described if may_come else _completed(best.described, chunks)
@@ -159,18 +182,21 @@ def search(chunks: Sequence[Chunk], grid: Grid | None) -> Finding:
 
 def has_place(chunks: Sequence[Chunk], grid: Grid) -> bool:
     """Whether the frames in what arrived can hold the cells of a grid."""
-    return any(_placements(b"".join(chunk.data for chunk in chunks), grid))
+    return any(_placements(_Arrived(chunks), grid))
 
 
-def _best(data: bytes, grid: Grid) -> Placement | None:
+def _best(arrived: _Arrived, grid: Grid) -> Placement | None:
     """Return the placement in which neighbours move together most, smoothly."""
-    return max(_placements(data, grid), key=_fit, default=None)
+    return max(_placements(arrived, grid), key=_fit, default=None)
 
 
-def _placements(data: bytes, grid: Grid) -> Iterator[Placement]:
+def _placements(arrived: _Arrived, grid: Grid) -> Iterator[Placement]:
     """Yield the placements of a grid's cells; a clock is not a cell."""
-    lines = text.lines_of(data)
-    placed = binary.placements(data, *grid) if lines is None else text.placements(lines, *grid)
+    placed: Iterator[Placement]
+    if arrived.lines is None:
+        placed = binary.placements(arrived.data, arrived.tables, *grid)
+    else:
+        placed = text.placements(arrived.lines, *grid)
     return (each for each in placed if not binary.counting(each.values).any())
 
 
@@ -185,9 +211,10 @@ def _fit(placed: Placement) -> tuple[float, float]:
     return round(fit, 4), -float(np.ptp(np.median(placed.values, axis=0)))
 
 
-def _why_none_fits(data: bytes, frames: _Frames | None, grid: Grid | None) -> str:
-    if has_text(data):
+def _why_none_fits(arrived: _Arrived, grid: Grid | None) -> str:
+    if has_text(arrived.data):
         return "print lines of numbers and nothing else"
+    frames = _frames_in(arrived)
     if frames is None:
         return f"no frames, or a wrong baud rate: {ADVICE}"
     if grid is None:
