@@ -80,6 +80,9 @@ LONGEST = (
     "test_board_restarts.py",
     "test_pads.py",
     "test_pad_formats.py",
+    "test_plot.py",
+    "test_touch_haart.py",
+    "test_sessions.py",
 )
 
 

@@ -67,8 +67,8 @@ class Found:
 def test_the_pads_port_and_baud_rate_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(init, "USUAL_BAUDS", (115_200, 57_600))
     monkeypatch.setattr(init, "DEFAULT_PORT", "none")
-    monkeypatch.setattr(hand, "LISTEN_S", 4.0)
-    with pad_read_too_fast(STREAM.counts, termios.B57600, PRESETS["fabric-grid"], pace=2.0) as pad:
+    monkeypatch.setattr(hand, "LISTEN_S", 2.0)
+    with pad_read_too_fast(STREAM.counts, termios.B57600, PRESETS["fabric-grid"]) as pad:
         monkeypatch.setattr(init, "comports", lambda: [Found("/dev/null"), Found(pad.path)])
         assert write() == 0
     settings = load(FILE)
@@ -108,13 +108,13 @@ def test_without_a_terminal_the_grid_has_to_be_told(
 
 @needs_third_study
 def test_a_coarse_pad_is_found_told_its_grid(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hand, "LISTEN_S", 4.0)
+    monkeypatch.setattr(hand, "LISTEN_S", 2.0)
     touches = [each for _, touched, each in third_study("S15") if touched]
     # Somebody touches the pad throughout this stream, so any eight seconds of it prove the format.
     played = touches[14]
     stream = Stream(played[:, 1:], played[:, 0] - played[0, 0], ())
     with FakePort(
-        stream, lambda cells, ms: f"{ms},{','.join(map(str, cells))}\r\n".encode(), speed=2.0, loop=True
+        stream, lambda cells, ms: f"{ms},{','.join(map(str, cells))}\r\n".encode(), speed=4.0, loop=True
     ) as pad:
         assert write("--port", pad.path, "--grid", "6x6") == 0
     found = load(FILE).sensor.described

@@ -607,7 +607,7 @@ def test_learning_from_single_pats_names_single_pats(pretrained: Pretrained) -> 
             for recording in joined(passing(gesture, 20, number))
         ]
 
-    settings = AdaptSettings(crops=8)
+    settings = AdaptSettings(crops=4, steps=100)
     learnt = adapt(pretrained, prepare(pretrained, read(range(4)), settings), settings)
     others = read(range(10, 14))
     truth = [learnt.labels.index(each.gesture) for each in others]
