@@ -140,17 +140,24 @@ def test_the_watchdog_is_not_fed_more_often_than_it_needs(manager: Manager, watc
     assert manager.received() == ["READY=1", "WATCHDOG=1"]
 
 
+@pytest.fixture
+def now_s(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """The time, which stands still unless the test changes it."""
+    now_s = [time.monotonic()]
+    monkeypatch.setattr(time, "monotonic", lambda: now_s[0])
+    return now_s
+
+
+# The time stands still before anything is watched.
 def test_each_status_counts_from_the_one_before(
-    manager: Manager, watched: Watched, monkeypatch: pytest.MonkeyPatch
+    now_s: list[float], manager: Manager, watched: Watched
 ) -> None:
-    now_s = time.monotonic()
-    monkeypatch.setattr(time, "monotonic", lambda: now_s)
     watched.arm.is_up = False
     watched.pad.queue.dropped, watched.arm.queue.dropped = 3, 4
     watched.processes(1)
     for passed_s, frames in ((10, 540), (10, 270), (10, 0)):
         watched.pad.frames += frames
-        now_s += passed_s
+        now_s[0] += passed_s
         watched.must_stop()
     ends = " frames/s, arm away, 0 touches, 7 frames dropped"
     statuses = [line for line in manager.received() if line.startswith("STATUS=")]
