@@ -306,9 +306,10 @@ def test_the_corner_is_where_the_hand_stays(
     row: int, column: int, turn: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(hand, "_follows", lambda *_: True)
-    pad = FakePort(wandering_then_held(row, column, 4.0), ENCODE)
+    monkeypatch.setattr(hand, "HELD_S", hand.HELD_S / 3)
+    pad = FakePort(wandering_then_held(row, column, 4.0), ENCODE, speed=3.0)
     with pad as port, open_port(port.path, 115_200) as opened:
-        at_rest = listen(opened, 0.5)
+        at_rest = listen(opened, 0.5 / 3)
         turned = turned_with_a_hand(Console(quiet=True), opened, PRESETS["fabric-grid"], at_rest)
     assert turned == replace(PRESETS["fabric-grid"], turn=turn)
 
