@@ -1,6 +1,5 @@
 """The base class of parsers: counts, clock and layout."""
 
-import math
 from abc import ABC, abstractmethod
 
 import numpy as np
@@ -25,14 +24,6 @@ class FrameParser(ABC):
         self.clock = FrameClock(self.counts, described.rate_hz)
         self._buffer = b""
         self._tail = b""
-
-    def ask_in_s(self, now_s: float) -> float:
-        """Return how long to wait before asking for the next frame; infinite for a pad that sends."""
-        return math.inf
-
-    def ask(self, now_s: float) -> None:
-        """Note that the pad was polled now, and drop what arrived before: it cannot belong to the reply."""
-        self._buffer = b""
 
     def feed(self, data: bytes, host_s: float) -> list[Frame]:
         """Take bytes that arrived at `host_s` (monotonic seconds); return the frames they completed."""

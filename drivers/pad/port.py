@@ -8,7 +8,6 @@ import re
 import select
 import stat
 import termios
-import time
 import typing
 from typing import TypeAlias, Union
 
@@ -89,7 +88,9 @@ def read_waiting(opened: Line, parser: FrameParser) -> bytes:
     """
     try:
         if parser.format.poll:
-            _ask(opened, parser)
+            from touchd.drivers.pad.poll import ask
+
+            ask(opened, parser)
         if not isinstance(opened, serial.SerialBase):
             return opened.read(is_text=parser.format.framing == "text")
         # pyserial's own read takes five system calls; two are enough.
@@ -130,14 +131,3 @@ def _read(fd: int) -> bytes:
         hung_up.register(fd, 0)
         raise OSError(errno.EIO, "hung up") if hung_up.poll(0) else NothingReadError
     return data
-
-
-def _ask(opened: Line, parser: FrameParser) -> None:
-    wait_s = parser.ask_in_s(time.monotonic())
-    if wait_s > READ_TIMEOUT_S:
-        return
-    time.sleep(wait_s)
-    # A late reply to the previous poll must not become half of the next.
-    opened.reset_input_buffer()
-    parser.ask(time.monotonic())
-    opened.write(bytes.fromhex(parser.format.poll))
