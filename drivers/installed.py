@@ -66,11 +66,12 @@ def qi_installed() -> bool:
     return importlib.util.find_spec("qi") is not None
 
 
-def how_to_get_qi() -> str:
-    """Return how to install qi, which has wheels for some computers and versions of Python only."""
+def why_no_qi(error: ImportError) -> str:
+    """Say why qi cannot be loaded, and how to install it: wheels fit some computers and Pythons only."""
+    why = f"cannot be loaded ({error})" if qi_installed() else "is not installed"
     has_wheel = sys.version_info < (3, 13) and platform.machine() == "x86_64"
     how = how_to_install("nao") if has_wheel else "`touchd docs install` tells how"
-    return f"{how} (Linux x86_64, Python 3.10 to 3.12)"
+    return f"qi, the library that speaks to NAOqi, {why}; {how} (Linux x86_64, Python 3.10 to 3.12)"
 
 
 def _with_torch_alone(install: Sequence[str], wanted: Sequence[str], into: Sequence[str], index: str) -> str:

@@ -113,12 +113,9 @@ def load_qi() -> Any:
     try:
         qi = importlib.import_module("qi")
     except ImportError as error:
-        from touchd.drivers.installed import how_to_get_qi, qi_installed
+        from touchd.drivers.installed import why_no_qi
 
-        why = "is not installed" if not qi_installed() else f"cannot be loaded ({error})"
-        raise RobotError(
-            f"qi, the library that speaks to NAOqi, {why}; {how_to_get_qi()}, or set robot: null"
-        ) from error
+        raise RobotError(f"{why_no_qi(error)}, or set robot: null") from error
     # libqi logs to stdout, which is the daemon's stream of events.
     qi.logging.setLevel(qi.logging.SILENT)
     return qi
