@@ -9,9 +9,18 @@ from dataclasses import dataclass, field
 import msgspec
 
 from touchd.daemon.actions import Action, ActionRule
-from touchd.daemon.config import Words
-from touchd.daemon.events import UNCERTAIN, ActionKind, Prediction
-from touchd.daemon.words import Vocabulary
+from touchd.daemon.config import Settings, Words
+from touchd.daemon.events import (
+    MAX_REASON_BYTES,
+    UNCERTAIN,
+    ActionKind,
+    Event,
+    Prediction,
+    RobotAction,
+    timestamp,
+)
+from touchd.daemon.words import Vocabulary, words_of
+from touchd.drivers.errors import one_line
 from touchd.drivers.robot.acting import Act, animated_say, run_behavior, say, set_leds
 
 # Touches that are remembered: more than can go on at once.
@@ -60,6 +69,22 @@ class Reactions:
         leds = action.leds
         assert leds is not None, "an action is exactly one of these"
         return set_leds(leds.group, leds.rgb, leds.fade_s, begins("leds", leds.color))
+
+
+def make_reactions(
+    settings: Settings,
+    rules: Mapping[str, Sequence[ActionRule]],
+    act: Callable[[Sequence[Act]], None],
+    emit: Callable[[Event], None],
+) -> Reactions:
+    """Return the reactions by the rules of each pad. emit: receives an event as the robot begins to act."""
+
+    def note(answer: Prediction, kind: ActionKind, what: str) -> None:
+        now = timestamp(time.time())
+        shown = one_line(what, MAX_REASON_BYTES)
+        emit(RobotAction(touch=answer.touch, action=kind, what=shown, time=now, pad=answer.pad))
+
+    return Reactions(rules, words_of(settings), act, note)
 
 
 @dataclass

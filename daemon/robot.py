@@ -7,10 +7,8 @@ from collections.abc import Callable
 from touchd.daemon.config import Settings
 from touchd.daemon.events import (
     MAX_REASON_BYTES,
-    ActionKind,
     Event,
     Prediction,
-    RobotAction,
     RobotEvent,
     SensorEvent,
     epoch_s,
@@ -81,11 +79,6 @@ def link_to_robot(
         why = one_line(reason, MAX_REASON_BYTES)
         emit(RobotEvent(state=state, time=timestamp(time.time()), reason=why))
 
-    def note(answer: Prediction, kind: ActionKind, what: str) -> None:
-        now = timestamp(time.time())
-        shown = one_line(what, MAX_REASON_BYTES)
-        emit(RobotAction(touch=answer.touch, action=kind, what=shown, time=now, pad=answer.pad))
-
     assert settings.robot is not None, "no robot is configured"
     rules = {name: pad.scene.actions for name, pad in settings.pads.items()}
     link = RobotLink(settings.robot, report, open_session, pads=rules, acts=any(rules.values()))
@@ -94,7 +87,6 @@ def link_to_robot(
         link.set_status("down", name)
     if not any(rules.values()):
         return RobotSink(link)
-    from touchd.daemon.reactions import Reactions
-    from touchd.daemon.words import words_of
+    from touchd.daemon.reactions import make_reactions
 
-    return RobotSink(link, Reactions(rules, words_of(settings), link.act, note).on_answer)
+    return RobotSink(link, make_reactions(settings, rules, link.act, emit).on_answer)
