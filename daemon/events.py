@@ -121,11 +121,6 @@ class Label(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="la
 Event: TypeAlias = TouchBegan | Prediction | TouchEnded | SensorEvent | RobotEvent | RobotAction | Label
 
 
-def kind_of(event: Event) -> str:
-    """Return the `type` of an event's line."""
-    return str(event.__struct_config__.tag)
-
-
 def encode(event: Event) -> bytes:
     """Return the event as one line of JSON, UTF-8, without a newline."""
     return msgspec.json.encode(event)

@@ -8,7 +8,7 @@ from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Any, TypeAlias
 
-from touchd.daemon.events import Event, kind_of
+from touchd.daemon.events import Event
 from touchd.daemon.sinks import QueuedSink
 from touchd.drivers.errors import TouchdError
 from touchd.drivers.faults import Backoff
@@ -45,6 +45,11 @@ def bridge_class(name: str) -> Any:
     """Import the bridge of a section; raises ImportError or RuntimeError if its library cannot be loaded."""
     module, _, kind = BRIDGES[name].partition(":")
     return getattr(importlib.import_module(f"touchd.daemon.bridges.{module}"), kind)
+
+
+def kind_of(event: Event) -> str:
+    """Return the `type` of an event's line."""
+    return str(event.__struct_config__.tag)
 
 
 class Bridge(QueuedSink[Item]):

@@ -25,9 +25,10 @@ from touchd.daemon.bridges.bridge import (
     BridgeError,
     ConnectedBridge,
     arrival_s,
+    kind_of,
 )
 from touchd.daemon.bridges.retained import entity_of, topics_of
-from touchd.daemon.events import UNCERTAIN, Event, SensorEvent, encode, kind_of, timestamp
+from touchd.daemon.events import UNCERTAIN, Event, SensorEvent, encode, timestamp
 from touchd.drivers.errors import written_out
 from touchd.drivers.frame import Frame
 from touchd.drivers.whole_file import without_waiting
