@@ -122,12 +122,6 @@ def make_parts(
     return Parts(tuple(pads), tuple(sinks), live, kept, bridges, labeller)
 
 
-def load_model(settings: Settings) -> Classifier:
-    """Load the only pad's model; see `load_models`."""
-    (model,) = load_models(settings).values()
-    return model
-
-
 def load_models(settings: Settings) -> dict[str, Classifier]:
     """Load each pad's model, shared by pads with the same file, and warm it up.
 

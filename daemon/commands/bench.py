@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
+from touchd.daemon.commands.one_pad import load_model
 from touchd.daemon.commands.run import favour_latency
 from touchd.daemon.config import LiveSettings, SensorSettings, Settings
 from touchd.daemon.events import Event, Prediction, epoch_s
 from touchd.daemon.kept.touches import decode
-from touchd.daemon.parts import load_model
 from touchd.daemon.pipeline import Pipeline
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
 from touchd.daemon.playback.stream import DEMO_RECORDING, play

@@ -5,9 +5,8 @@ import sys
 from collections import Counter
 from collections.abc import Sequence
 
-from touchd.daemon.commands.one_pad import add_settings, settings_of
+from touchd.daemon.commands.one_pad import add_settings, load_model, settings_of
 from touchd.daemon.events import Event, TouchBegan, TouchEnded, encode
-from touchd.daemon.parts import load_model
 from touchd.daemon.pipeline import Pipeline
 from touchd.daemon.playback.stream import add_arguments, chosen_stream, play
 from touchd.daemon.terminal.describe import describe

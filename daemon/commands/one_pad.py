@@ -2,11 +2,15 @@
 
 import argparse
 import sys
+import typing
 
 import msgspec
 
 from touchd.daemon.commands.settings import Found, add_config, find_settings
 from touchd.daemon.config import ConfigError, SensorSettings, Settings
+
+if typing.TYPE_CHECKING:
+    from touchd.model.classifier import Classifier
 
 
 def add_settings(parser: argparse.ArgumentParser, what: str = "settings", port: bool = True) -> None:
@@ -25,6 +29,15 @@ def settings_of(options: argparse.Namespace) -> Found:
     if options.config is None and (found.file or found.closed):
         sys.stderr.write(f"{found}\n")
     return found._replace(settings=only_pad(found.settings, options.pad, getattr(options, "port", None)))
+
+
+def load_model(settings: Settings) -> "Classifier":
+    """Load the only pad's model; see `load_models`."""
+    # Other commands need no network, which takes long to import.
+    from touchd.daemon.parts import load_models
+
+    (model,) = load_models(settings).values()
+    return model
 
 
 def only_pad(settings: Settings, name: str | None, port: str | None = None) -> Settings:

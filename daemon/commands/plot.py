@@ -7,9 +7,8 @@ from pathlib import Path
 
 from rich.console import Console
 
-from touchd.daemon.commands.one_pad import add_settings, settings_of
+from touchd.daemon.commands.one_pad import add_settings, load_model, settings_of
 from touchd.daemon.kept.touches import read_journal
-from touchd.daemon.parts import load_model
 from touchd.daemon.playback.stream import add_arguments, chosen_stream
 from touchd.drivers.numbers import within
 from touchd.drivers.recording import SUFFIXES

@@ -14,7 +14,7 @@ import numpy as np
 
 from touchd.daemon.config import ConfigError, Settings
 from touchd.daemon.doctor.check import Check
-from touchd.daemon.parts import load_model
+from touchd.daemon.parts import load_models
 from touchd.drivers.errors import PathError
 from touchd.drivers.frame import COLUMNS, ROWS
 from touchd.drivers.installed import program_name
@@ -44,7 +44,7 @@ REACH_S = 2.0
 def check_model(settings: Settings) -> Check:
     """Load the model as the daemon does, and time its longest answer."""
     try:
-        classifier = load_model(settings)
+        (classifier,) = load_models(settings).values()
     except (ModelError, PathError) as error:
         return Check("model", "to do", str(error), "leave model out of the settings to use the shipped one")
     except ConfigError as error:

@@ -23,6 +23,7 @@ from rigs.browser import browser, picture, prefer, show_in
 from rigs.live_rig import serving
 
 from touchd.daemon.commands.demo import ACTIONS
+from touchd.daemon.commands.one_pad import load_model
 from touchd.daemon.config import LiveSettings, Settings
 from touchd.daemon.events import (
     Event,
@@ -39,7 +40,6 @@ from touchd.daemon.live.address import listen
 from touchd.daemon.live.memory import Scene
 from touchd.daemon.live.server import LiveServer
 from touchd.daemon.live.touch import Touching
-from touchd.daemon.parts import load_model
 from touchd.daemon.pipeline import Clock, Pipeline
 from touchd.daemon.playback.stream import DEMO_RECORDING
 from touchd.daemon.reactions import Choice, spoken

@@ -33,6 +33,7 @@ from rigs.sockets import free_port
 
 from touchd.daemon.bridge_settings import MqttSettings
 from touchd.daemon.bridges.bridges import make_bridges
+from touchd.daemon.commands.one_pad import load_model
 from touchd.daemon.config import LiveSettings, Settings
 from touchd.daemon.events import Event, TouchEnded, encode
 from touchd.daemon.journal import Journal, JournalSink
@@ -46,7 +47,6 @@ from touchd.daemon.kept.touch_store import (
     read_frames,
 )
 from touchd.daemon.live.server import open_live_page
-from touchd.daemon.parts import load_model
 from touchd.daemon.pipeline import Pipeline
 from touchd.daemon.robot import RobotSink
 from touchd.drivers.fakes.stub_robot import StubRobot

@@ -22,6 +22,7 @@ from rigs.wait import WITHIN_S, wait_for
 
 from touchd.daemon import cli, commands
 from touchd.daemon.actions import Action, ActionRule
+from touchd.daemon.commands.one_pad import load_model
 from touchd.daemon.commands.settings import find_settings
 from touchd.daemon.config import ConfigError, JournalSettings, LiveSettings, SensorSettings, Settings, load
 from touchd.daemon.doctor.line import check_rate
@@ -29,7 +30,7 @@ from touchd.daemon.doctor.listening import Sample
 from touchd.daemon.events import Prediction, TouchEnded, encode
 from touchd.daemon.journal import JournalError, open_journal
 from touchd.daemon.live.address import qr_code, urls_of
-from touchd.daemon.parts import check_pad, load_model
+from touchd.daemon.parts import check_pad
 from touchd.daemon.reactions import Reactions
 from touchd.daemon.robot import RobotSink
 from touchd.drivers.fakes.stub_robot import StubRobot

@@ -14,11 +14,11 @@ from matplotlib.text import Text
 from rigs.made_events import PREDICTION, TIME
 
 from touchd.daemon import cli
+from touchd.daemon.commands.one_pad import load_model
 from touchd.daemon.commands.plot import picture_of
 from touchd.daemon.config import Settings
 from touchd.daemon.events import Event, Prediction, Stage, TouchBegan, TouchEnded, encode
 from touchd.daemon.kept.touches import gather, read_journal
-from touchd.daemon.parts import load_model
 from touchd.daemon.playback.stream import with_quiet
 from touchd.daemon.plot import journal as plot_journal
 from touchd.daemon.plot import recording as plot_recording

@@ -105,7 +105,7 @@ def test_the_models_runtime_sends_no_telemetry(tmp_path: Path) -> None:
     # It sends from a database in the home folder, and stays silent if it detects a test.
     silent_for_tests = ("ORT_DISABLE_TELEMETRY", "ORT_RUNNING_UNIT_TESTS", "CI", "GITHUB_ACTIONS")
     environment = {name: value for name, value in os.environ.items() if name not in silent_for_tests}
-    load = "from touchd.daemon.parts import load_model, Settings; load_model(Settings())"
+    load = "from touchd.daemon.parts import load_models, Settings; load_models(Settings())"
     environment |= {"HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path)}
     subprocess.run([sys.executable, "-c", load], env=environment, check=True, timeout=25)
     assert list(tmp_path.rglob("*")) == []
