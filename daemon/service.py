@@ -33,34 +33,25 @@ log = logging.getLogger(__name__)
 class Service:
     """The daemon's loop and its parts. Raises TouchdError when the settings cannot be used.
 
-    config: the file of the settings. events: where all of them pass through.
+    config: the file of the settings. events: where all of them pass through. watchers: who gets frames and
+    live predictions.
     """
 
     def __init__(self, settings: Settings, config: Path | None = None) -> None:
-        self._settings = settings
         self._arrived = Signal()
         self._faults = FaultLog(log)
         self.events = EventFanout()
-        self._parts = make_parts(settings, self.events.emit, self._viewers, self._arrived, config)
-        self.pads = self._parts.pads
-        self._watchers: list[LiveServer | View] = [self._parts.live] if self._parts.live else []
+        self.parts = make_parts(settings, self.events.emit, self._viewers, self._arrived, config)
+        self.pads = self.parts.pads
+        self.watchers: list[LiveServer | View] = [self.parts.live] if self.parts.live else []
 
     def tell(self, sink: Sink) -> None:
         """Send every event to this sink too, whatever the configuration. Call it before `run`."""
         self.events.sinks += (sink,)
 
-    def show_on(self, view: View) -> None:
-        """Show everything on a view, with the frames of the first pad. Call it before `run`."""
-        self.tell(view)
-        self._watchers.append(view)
-        from touchd.daemon.labels import make_labeller
-
-        models = {pad.name: pad.model for pad in self.pads}
-        view.labeller = self._parts.labeller or make_labeller(self._settings, models, self.events.emit)
-
     def run(self, must_stop: Callable[[], bool]) -> None:
         """Run until `must_stop`, asked between items, is True; then end touches and stop every sink."""
-        self.events.sinks += self._parts.sinks
+        self.events.sinks += self.parts.sinks
         for sink in self.events.sinks:
             sink.start()
         for pad in self.pads:
@@ -79,12 +70,12 @@ class Service:
 
     def _frames_together(self, pad: PadChannel) -> int:
         """How many of a pad's next frames may be read at once: one while somebody is shown them."""
-        is_shown = any(bridge.frames_hz is not None for bridge in self._parts.bridges)
+        is_shown = any(bridge.frames_hz is not None for bridge in self.parts.bridges)
         return 1 if is_shown or self._viewers() else pad.pipeline.frames_together
 
     def _viewers(self) -> list[Callable[[LivePrediction], None]]:
         """Return the current viewers of live predictions."""
-        return [each.put for each in self._watchers if each.is_watched]
+        return [each.put for each in self.watchers if each.is_watched]
 
     def _end(self) -> None:
         until_s = time.monotonic() + SENSORS_STOP_S
@@ -109,8 +100,8 @@ class Service:
         item = pad.queue.get_nowait()
         if isinstance(item, Frame):
             # The store must get a frame before the events that it causes.
-            if self._parts.kept is not None:
-                self._parts.kept.put_frame(item, pad.name)
+            if self.parts.kept is not None:
+                self.parts.kept.put_frame(item, pad.name)
             pad.pipeline.on_frame(item)
             pad.frames += 1
             self._show(pad, item)
@@ -127,9 +118,9 @@ class Service:
 
     def _show(self, pad: PadChannel, frame: Frame) -> None:
         """Hand a processed frame to everything that shows or checks frames."""
-        for each in self._watchers:
+        for each in self.watchers:
             each.put_frame(frame, self._dropped(), pad.name)
-        for bridge in self._parts.bridges:
+        for bridge in self.parts.bridges:
             bridge.put_frame(frame, pad.name)
 
     def _stop_sinks(self) -> None:

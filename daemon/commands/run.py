@@ -6,6 +6,7 @@ import logging
 import os
 import signal
 import sys
+import typing
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 
@@ -22,6 +23,9 @@ from touchd.daemon.tags import TagServer, changed
 # Python's thread switch interval; its default, 5 ms, is longer than an answer takes.
 SWITCH_S = 0.0005
 LOG_STOP_S = 0.4
+
+if typing.TYPE_CHECKING:
+    from touchd.daemon.terminal.view import View
 
 log = logging.getLogger(__name__)
 
@@ -125,7 +129,7 @@ def main(arguments: Sequence[str]) -> int:
             view = View(title, words_of(settings), first.scene.answer_at_frames, pad=name)
             closing.enter_context(view)
             handler: logging.Handler = ViewLog(view)
-            service.show_on(view)
+            show_on(view, service, settings)
             closing.enter_context(listening(view.on_key))
         else:
             handler = writer = LogWriter(sys.stderr.fileno())
@@ -143,6 +147,16 @@ def main(arguments: Sequence[str]) -> int:
         favour_latency()
         service.run(_reporting(service, signals.must_stop, closing))
     return 0
+
+
+def show_on(view: "View", service: Service, settings: Settings) -> None:
+    """Show everything on a view, and take labels from it."""
+    from touchd.daemon.labels import make_labeller
+
+    service.tell(view)
+    service.watchers.append(view)
+    models = {pad.name: pad.model for pad in service.pads}
+    view.labeller = service.parts.labeller or make_labeller(settings, models, service.events.emit)
 
 
 def _reporting(service: Service, must_stop: Callable[[], bool], closing: ExitStack) -> Callable[[], bool]:

@@ -14,6 +14,7 @@ from rigs.patient_port import playing
 from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S, wait_for
 
+from touchd.daemon.commands.run import show_on
 from touchd.daemon.config import LiveSettings, Settings
 from touchd.daemon.events import Event, Label, encode
 from touchd.daemon.kept.touch_store import TouchStore, folder_of, kept_touches
@@ -64,15 +65,15 @@ def test_labels_from_the_terminal_and_the_page_are_counted_together() -> None:
     settings = Settings(live=LiveSettings(port=0, label=True), journal=None)
     service = Service(settings)
     view = View("", vocabulary("en", {}), (54,))
-    service.show_on(view)
-    page = service._parts.labeller
+    show_on(view, service, settings)
+    page = service.parts.labeller
     assert page is not None
     assert view.labeller is not None
     takers = itertools.cycle([page, view.labeller])
     said = [next(takers).label("pad", touch, "pat") for touch in range(10)]
     assert [bool(line) for line in said] == [False] * 9 + [True]
-    assert service._parts.live is not None
-    service._parts.live.stop(1.0)
+    assert service.parts.live is not None
+    service.parts.live.stop(1.0)
 
 
 def test_a_key_says_what_the_touch_on_the_screen_was(tmp_path: Path) -> None:
