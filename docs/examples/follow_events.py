@@ -18,7 +18,11 @@ def touchd():
 
 def events(*options):
     with subprocess.Popen([touchd(), "run", "--json", *options], stdout=subprocess.PIPE) as daemon:
-        yield from map(json.loads, daemon.stdout)
+        for line in daemon.stdout:
+            if line.startswith(b"{"):
+                yield json.loads(line)
+            else:  # as of --help
+                print(line.decode(), end="")
     if daemon.returncode:
         sys.exit(daemon.returncode)
 

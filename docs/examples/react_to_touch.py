@@ -39,20 +39,26 @@ except RuntimeError as error:
     sys.exit(f"{url}: {error}; is the robot on, and is this its address?")
 memory = session.service("ALMemory")
 speech = session.service("ALTextToSpeech")
-last = None
+
+
+def detail():
+    """Return the last message; None before the first. Its last number rises with every message."""
+    try:
+        return memory.getData("TouchGesture/Detail")
+    except RuntimeError:
+        return None
+
+
 try:
+    last = detail()
+    print(f"{url}: waiting for touches", flush=True)
     while session.isConnected():
-        try:
-            detail = memory.getData("TouchGesture/Detail")
-        except RuntimeError:
-            detail = last
-        # The last number rises with every message.
-        if detail is not None and (last is None or detail[5] != last[5]):
-            gesture, confidence, _, stage, touch, _ = detail
+        new = detail()
+        if new is not None and (last is None or new[5] != last[5]):
+            gesture, confidence, _, stage, touch, _ = last = new
             print(f"touch {touch}: {gesture} ({confidence:.0%}, {stage})", flush=True)
             if gesture == "stroke":
                 speech.say("That is nice.")
-        last = detail
         time.sleep(0.05)
 except KeyboardInterrupt:
     sys.exit(0)

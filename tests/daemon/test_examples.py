@@ -22,9 +22,23 @@ def test_the_python_example_receives_a_stroke_and_answers() -> None:
     with Robot() as robot, linked(robot) as (link, states):
         states.wait_for("up")
         with Program(sys.executable, EXAMPLES / "react_to_touch.py", robot.url) as example:
+            assert example.stdout.readline() == f"{robot.url}: waiting for touches\n"
             link.put(message("stroke", touch=3))
             assert example.stdout.readline() == "touch 3: stroke (81%, early)\n"
             wait_for(lambda: robot.calls.said() == ["That is nice."])
+            example.kill()
+
+
+def test_the_python_example_does_not_answer_an_earlier_touch() -> None:
+    with Robot() as robot, linked(robot) as (link, states):
+        states.wait_for("up")
+        link.put(message("stroke", touch=3))
+        wait_for(lambda: len(robot.calls.raised("TouchGesture/Detail")) == 1)
+        with Program(sys.executable, EXAMPLES / "react_to_touch.py", robot.url) as example:
+            example.stdout.readline()
+            link.put(message("pat", touch=4))
+            assert example.stdout.readline().startswith("touch 4: pat")
+            assert robot.calls.said() == []
             example.kill()
 
 
@@ -41,6 +55,7 @@ def test_the_python_example_says_in_a_line_why_it_ends() -> None:
     with Robot() as robot, linked(robot) as (link, states):
         states.wait_for("up")
         with Program(sys.executable, EXAMPLES / "react_to_touch.py", robot.url) as example:
+            example.stdout.readline()
             link.put(message("pat", touch=3))
             assert example.stdout.readline().startswith("touch 3: pat")
             example.send_signal(signal.SIGINT)
@@ -64,6 +79,13 @@ def test_the_event_iterator_needs_no_path_in_a_clone(python: str, monkeypatch: p
     assert done.returncode == 2
     assert done.stderr.startswith("touchd: /nowhere.yaml: cannot be read")
     assert len(done.stderr.splitlines()) == 1
+
+
+def test_the_event_iterator_shows_the_options_it_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}:{os.environ['PATH']}")
+    done = ran([sys.executable, EXAMPLES / "follow_events.py", "--help"])
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("usage: touchd run")
 
 
 def test_the_event_iterator_without_touchd_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
