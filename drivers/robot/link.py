@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 from touchd.drivers.frame import DEFAULT_PAD
 from touchd.drivers.robot.session import (
-    Login,
     OpenSession,
     QiSession,
     RobotError,
@@ -29,6 +28,7 @@ from touchd.drivers.robot.worker import LinkState, Worker
 
 if typing.TYPE_CHECKING:
     from touchd.drivers.robot.acting import Act, ActWorker
+    from touchd.drivers.robot.login import Login
 
 log = logging.getLogger(__name__)
 
@@ -180,7 +180,7 @@ class RobotLink(Worker[Told]):
         session.call("ALMemory", "raiseEvent", event, value, limit_s=self._limits.call_s)
 
 
-def read_login(settings: RobotSettings) -> Login | None:
+def read_login(settings: RobotSettings) -> "Login | None":
     """Return the login, None if no user is set; raises RobotError with one line.
 
     No text made of the result contains the token.

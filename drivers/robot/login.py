@@ -9,9 +9,10 @@ import os
 import re
 import stat
 from contextlib import suppress
+from dataclasses import dataclass, field
 
 from touchd.drivers.errors import written_out
-from touchd.drivers.robot.session import Login, RobotError, RobotSettings
+from touchd.drivers.robot.session import RobotError, RobotSettings
 
 log = logging.getLogger(__name__)
 
@@ -20,17 +21,21 @@ MAX_TOKEN_BYTES = 4096
 PORTS = {"tcp": 9559, "tcps": 9503}
 
 
-class Authenticator:
-    """Supplies libqi with the login; libqi calls both methods by these names. It refuses a frozen object."""
+@dataclass
+class Login:
+    """The login for a robot that asks for one (NAOqi 2.9). Its repr does not show the token.
 
-    def __init__(self, login: Login) -> None:
-        self._login = login
+    libqi calls both methods by these names; it refuses a frozen object.
+    """
 
-    def newAuthenticator(self) -> "Authenticator":  # noqa: N802
+    user: str
+    token: str = field(repr=False)
+
+    def newAuthenticator(self) -> "Login":  # noqa: N802
         return self
 
     def initialAuthData(self) -> dict[str, str]:  # noqa: N802
-        return {"user": self._login.user, "token": self._login.token}
+        return {"user": self.user, "token": self.token}
 
 
 def without_password(address: str) -> str:

@@ -6,12 +6,15 @@ import re
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any, Protocol, TypeAlias
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Optional, Protocol, TypeAlias
 
 import msgspec
 
 from touchd.drivers.errors import TouchdError, one_line
+
+if TYPE_CHECKING:
+    from touchd.drivers.robot.login import Login
 
 # Poll interval for the stop event while a call runs.
 SLICE_MS = 50
@@ -21,14 +24,6 @@ STOPPING_LIMIT_S = 0.25
 
 class RobotError(TouchdError):
     """The robot cannot be used as configured: the user must change something. The message is one line."""
-
-
-@dataclass(frozen=True)
-class Login:
-    """The login for a robot that asks for one (NAOqi 2.9). Its repr does not show the token."""
-
-    user: str
-    token: str = field(repr=False)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,7 +96,7 @@ class RobotSession(Protocol):
 
 
 # Takes URL, login, limits, and an event after which no call may take longer than STOPPING_LIMIT_S.
-OpenSession: TypeAlias = Callable[[str, Login | None, RobotLimits, threading.Event], RobotSession]
+OpenSession: TypeAlias = Callable[[str, Optional["Login"], RobotLimits, threading.Event], RobotSession]
 
 
 def load_qi() -> Any:
@@ -128,7 +123,9 @@ class QiSession:
     ever. There are no callbacks and no subscriptions, with which libqi crashes at exit.
     """
 
-    def __init__(self, url: str, login: Login | None, limits: RobotLimits, stopping: threading.Event) -> None:
+    def __init__(
+        self, url: str, login: "Login | None", limits: RobotLimits, stopping: threading.Event
+    ) -> None:
         self._url = url
         self._limits = limits
         self._stopping = stopping
@@ -136,9 +133,7 @@ class QiSession:
         self._session = self._qi.Session()
         self._proxies: dict[str, Any] = {}
         if login is not None:
-            from touchd.drivers.robot.login import Authenticator
-
-            self._session.setClientAuthenticatorFactory(Authenticator(login))
+            self._session.setClientAuthenticatorFactory(login)
 
     def connect(self) -> None:
         connecting = self._session.connect(self._url, _async=True)

@@ -38,7 +38,8 @@ from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.pad.names import LastingName
 from touchd.drivers.pad.port import SensorError, open_port
 from touchd.drivers.recording import Stream, ideal_clock_ms
-from touchd.drivers.robot.session import Login, RobotError
+from touchd.drivers.robot.login import Login
+from touchd.drivers.robot.session import RobotError
 from touchd.drivers.search.listen import listen
 from touchd.drivers.search.search import Finding
 

@@ -33,7 +33,8 @@ from rigs.wait import AT_ONCE_S, wait_for
 from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.robot.acting import run_behavior, say
 from touchd.drivers.robot.link import RobotLink
-from touchd.drivers.robot.session import Login, QiSession, RobotLimits, RobotLost, RobotSession, RobotSettings
+from touchd.drivers.robot.login import Login
+from touchd.drivers.robot.session import QiSession, RobotLimits, RobotLost, RobotSession, RobotSettings
 
 
 def test_a_kill_during_a_call_is_survived() -> None:

@@ -13,7 +13,7 @@ from contextlib import suppress
 
 import trustme
 
-from touchd.drivers.robot.session import Login
+from touchd.drivers.robot.login import Login
 
 log = logging.getLogger(__name__)
 

@@ -11,7 +11,8 @@ from rigs.robots import Robot, States, login_in, reach
 from rigs.wait import AT_ONCE_S
 
 from touchd.drivers.robot.link import RobotLink
-from touchd.drivers.robot.session import Login, RobotSettings
+from touchd.drivers.robot.login import Login
+from touchd.drivers.robot.session import RobotSettings
 
 
 def main(state: str) -> int:

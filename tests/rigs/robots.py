@@ -23,7 +23,8 @@ from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.installed import qi_installed
 from touchd.drivers.robot.acting import say
 from touchd.drivers.robot.link import RobotLink, Told
-from touchd.drivers.robot.session import Login, RobotLimits, RobotSettings
+from touchd.drivers.robot.login import Login
+from touchd.drivers.robot.session import RobotLimits, RobotSettings
 
 needs_qi = pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
 
