@@ -54,12 +54,7 @@ def find_settings(given: Path | None) -> Found:
         if path.exists():
             return Found(load(path), path)
     service = SERVICE_FOLDER / NAME
-    try:
-        service.stat()
-        if os.access(service, os.R_OK):
-            return Found(load(service), service)
-    except PermissionError:
-        pass
-    except OSError:
-        return Found(Settings(), None)
-    return Found(Settings(), None, service)
+    if os.access(service, os.R_OK):
+        return Found(load(service), service)
+    is_hidden = SERVICE_FOLDER.exists() and not os.access(SERVICE_FOLDER, os.X_OK)
+    return Found(Settings(), None, service if is_hidden or os.path.exists(service) else None)
