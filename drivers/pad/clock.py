@@ -27,8 +27,6 @@ import math
 from collections import deque
 from dataclasses import dataclass
 
-from msgspec.structs import replace
-
 from touchd.drivers.frame import CLOCK_MODULUS, Counts, Frame
 from touchd.drivers.pad.framing import ProtocolCounts
 
@@ -229,9 +227,10 @@ class ClockCheck:
 
     def _deliver(self, run: list[Frame]) -> list[Frame]:
         self._last = run[-1]
-        if not self._ahead_ms:
+        ahead_ms = self._ahead_ms
+        if not ahead_ms:
             return run
-        return [replace(one, sensor_ms=(one.sensor_ms + self._ahead_ms) % CLOCK_MODULUS) for one in run]
+        return [Frame((one.sensor_ms + ahead_ms) % CLOCK_MODULUS, one.host_s, one.pressure) for one in run]
 
     def _refuse_held(self) -> None:
         self._counts.bad_time += len(self._held)
