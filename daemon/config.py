@@ -209,4 +209,4 @@ def load(path: Path) -> Settings:
     if len(text) > MAX_BYTES:
         raise ConfigError(f"{path}: larger than {MAX_BYTES // 1024} KiB, so not a touchd configuration")
     with config_errors(f"{path}: "):
-        return convert(str(path), text, Settings)
+        return convert(path, text, Settings)

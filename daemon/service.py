@@ -33,8 +33,7 @@ log = logging.getLogger(__name__)
 class Service:
     """The daemon's loop and its parts. Raises TouchdError when the settings cannot be used.
 
-    config: the file of the settings. events: where all of them pass through. watchers: who gets frames and
-    live predictions.
+    config: the file of the settings. events: where all of them pass through. watchers: get every frame.
     """
 
     def __init__(self, settings: Settings, config: Path | None = None) -> None:

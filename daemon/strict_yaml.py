@@ -1,6 +1,7 @@
 """Reads YAML text strictly into a struct; a mistake is reported in one line that says where it is."""
 
 from collections.abc import Hashable
+from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
@@ -48,25 +49,22 @@ def _problem(what: str, place: Any) -> yaml.MarkedYAMLError:
     return yaml.constructor.ConstructorError(problem=what, problem_mark=place.start_mark)
 
 
-def convert(where: str, text: bytes, struct: type[T]) -> T:
-    """Return the struct that YAML text describes; an empty text is all defaults. Raises ConfigError.
-
-    where: the text stands, for messages.
-    """
+def convert(file: Path, text: bytes, struct: type[T]) -> T:
+    """Return the struct that a file's text describes; an empty one is all defaults. Raises ConfigError."""
     try:
         raw = StrictLoader(text).get_single_data()
     except yaml.MarkedYAMLError as error:
         from touchd.daemon.mistakes import explain_yaml
 
-        raise ConfigError(f"{where}: {explain_yaml(error)}") from error
+        raise ConfigError(f"{file}: {explain_yaml(error)}") from error
     except yaml.reader.ReaderError as error:
         line = len(text[: error.position + 1].splitlines())
-        raise ConfigError(f"{where}: line {line}: {error.reason}; save the file as UTF-8 text") from error
+        raise ConfigError(f"{file}: line {line}: {error.reason}; save the file as UTF-8 text") from error
     except (yaml.YAMLError, RecursionError, ValueError) as error:
-        raise ConfigError(f"{where}: not YAML: {error}") from error
+        raise ConfigError(f"{file}: not YAML: {error}") from error
     try:
         return msgspec.convert({} if raw is None else raw, struct)
     except msgspec.ValidationError as error:
         from touchd.daemon.mistakes import explain
 
-        raise ConfigError(f"{where}: {explain(str(error), struct)}") from error
+        raise ConfigError(f"{file}: {explain(str(error), struct)}") from error

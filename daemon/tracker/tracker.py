@@ -268,7 +268,8 @@ class TouchTracker:
             return release
         match self._state:
             case MeasuringRest():
-                self._measure_rest()
+                if len(self._recent) >= CALIBRATION_FRAMES:
+                    self._calibrate(Quiet(self._index))
                 return release
             case Quiet() as quiet:
                 return self._watch(quiet)
@@ -300,10 +301,6 @@ class TouchTracker:
         self._network.forget_rest()
         self._recent.clear()
         self._state = MeasuringRest()
-
-    def _measure_rest(self) -> None:
-        if len(self._recent) >= CALIBRATION_FRAMES:
-            self._calibrate(Quiet(self._index))
 
     def _calibrate(self, quiet: Quiet, frames: int = CALIBRATION_FRAMES) -> None:
         """Take the last frames as rest; the state becomes quiet."""
