@@ -85,13 +85,17 @@ def chosen_stream(arguments: argparse.Namespace) -> Stream:
 
 
 def recording_files(paths: Sequence[Path]) -> list[Path]:
-    """Return the files among paths, and for each folder its recordings in order of their names."""
+    """Return the files among paths, and for each folder its recordings in order of their names.
+
+    A folder of touches that a daemon saves also has the one that it is writing.
+    """
     files: list[Path] = []
     for path in paths:
         if not path.is_dir():
             files.append(path)
             continue
-        inside = sorted(file for file in path.iterdir() if file.name.endswith(SUFFIXES))
+        whole = (file for file in path.iterdir() if not file.name.startswith("."))
+        inside = sorted(file for file in whole if file.name.endswith(SUFFIXES))
         if not inside:
             raise RecordingError(f"{path}: no recording ({' or '.join(SUFFIXES)}) is in this folder")
         files += inside

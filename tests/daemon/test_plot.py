@@ -26,6 +26,7 @@ from touchd.daemon.plot.plot import OTHER_COLOURS, PlotError, colour_of
 from touchd.daemon.plot.recording import Trace, trace
 from touchd.drivers.fakes.hand import simulate, write_simulated
 from touchd.drivers.recording import UNLABELLED, Recording, Stream, splice
+from touchd.drivers.whole_file import PARTIAL
 
 SCRIPT = (("notouch", 2.0), ("rub", 3.2), ("notouch", 2.0), ("scratch", 3.2), ("notouch", 2.0))
 PNG = b"\x89PNG\r\n\x1a\n"
@@ -150,6 +151,14 @@ def test_a_folder_of_recordings_becomes_one_picture(
     assert cli.main(["plot", "mine"]) == 0
     assert capsys.readouterr().out == "mine.png\n"
     assert Path("mine.png").read_bytes().startswith(PNG)
+
+
+def test_a_touch_that_a_daemon_is_saving_is_passed_over(recorded: Path) -> None:
+    Path("touches").mkdir()
+    (Path("touches") / "one.csv.gz").write_bytes(recorded.read_bytes())
+    (Path("touches") / f"{PARTIAL}two.csv.gz").touch()
+    assert cli.main(["plot", "touches"]) == 0
+    assert cli.main(["classify", "touches"]) == 0
 
 
 def prediction(touch: int, stage: Stage, gesture: str) -> Prediction:
