@@ -132,7 +132,8 @@ def test_every_wing_exists() -> None:
         pytest.param({"torch", "onnx", "sklearn", "matplotlib", "scipy"}, id="training, pictures"),
         pytest.param({"rich", "websockets", "asyncio"}, id="view, page"),
         pytest.param({"qi", "touchd.daemon.robot", "touchd.drivers.robot.link"}, id="robot"),
-        pytest.param({"paho", "pylsl", "cyclonedds", "mcap", "touchd.daemon.bridges.bridge"}, id="bridges"),
+        pytest.param({"touchd.drivers.pad.network", "touchd.drivers.pad.poll"}, id="network, poll"),
+        pytest.param({"paho", "pylsl", "cyclonedds", "mcap", "touchd.daemon.bridges"}, id="bridges"),
         pytest.param(
             {"touchd.daemon.live", "touchd.daemon.kept", "touchd.drivers.recording"}, id="page, kept touches"
         ),
