@@ -18,7 +18,7 @@ from rigs.browser import show_in
 from rigs.programs import TOUCHD, Program
 from rigs.running_daemon import SERVED, Daemon
 from rigs.sensor_rig import next_frames, sensing
-from rigs.wait import WITHIN_S, wait_for
+from rigs.wait import SOON_S, WITHIN_S, wait_for
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
 from websockets.exceptions import ConnectionClosed
@@ -290,7 +290,7 @@ def test_a_fast_screen_sends_no_more_than_is_taken(fake_pad: FakePad) -> None:
 def test_the_hand_goes_on_when_nobody_touches(fake_pad: FakePad) -> None:
     invitation = fake_pad.chrome.find_element(By.ID, "invitation")
     wait_for(lambda: next_frames(fake_pad.frames, 1)[0].pressure.max() > 50)
-    wait_for(lambda: invitation.text == "Touch here")
+    wait_for(lambda: invitation.text == "Touch here", touched.ALONE_S + SOON_S)
 
 
 # A busy machine delays frames, and the quick suite keeps all cores busy.

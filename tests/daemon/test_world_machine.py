@@ -208,7 +208,7 @@ class World(RuleBasedStateMachine):
     def taps_at_any_rhythm(self, tap_s: float, pause_s: float, times: int) -> None:
         self.feel(np.concatenate([palm(tap_s), nothing(pause_s)] * times))
 
-    @rule(is_told=st.booleans(), pause_s=st.floats(0.0, 1.9))
+    @rule(is_told=st.booleans(), pause_s=st.floats(0.0, 1.9, allow_subnormal=False))
     def the_board_restarts(self, is_told: bool, pause_s: float) -> None:
         self.arrive(CRASH if is_told else b"")
         self.now_s += pause_s

@@ -57,7 +57,7 @@ def test_the_page_says_what_the_streams_give() -> None:
     assert f"none {detected}" in page
     assert f"{result.named} are named, {result.right} of them rightly ({right:.0f} %)" in page
     assert result.missed == result.false == 0
-    assert share <= 8
+    assert share <= 10
     assert right >= 75
     high = measure(Path(str(THIRD_STUDY)), models, 60)
     right = 100 * high.right / high.named
