@@ -26,8 +26,6 @@ class RobotSink:
     react: receives every answer, told or not.
     """
 
-    name = "robot"
-
     def __init__(self, link: RobotLink, react: Callable[[Prediction], None] = lambda _: None) -> None:
         self._link = link
         self._react = react

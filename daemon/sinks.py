@@ -27,8 +27,6 @@ DISK_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 class Sink(typing.Protocol):
     """The interface of a destination of events."""
 
-    name: str
-
     def start(self) -> None:
         """Begin to pass events on, including those already put."""
 

@@ -80,8 +80,6 @@ class LiveServer:
     say that a touch was. Without either, viewers can send nothing.
     """
 
-    name = "live"
-
     def __init__(
         self,
         listening: socket.socket,

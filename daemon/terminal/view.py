@@ -78,8 +78,6 @@ class View:
     labeller: takes what a person says, by a key, that the touch on the screen was; None if nobody can.
     """
 
-    name = "view"
-
     def __init__(
         self,
         title: str,

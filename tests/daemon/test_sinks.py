@@ -145,7 +145,7 @@ def test_the_robot_stops_first_so_its_last_acts_are_told(
     stopped: list[str] = []
 
     def noted(stop: Callable[..., None]) -> Callable[..., None]:
-        return lambda sink, timeout_s: (stopped.append(sink.name), stop(sink, timeout_s))[1]
+        return lambda sink, timeout_s: (stopped.append(type(sink).__name__), stop(sink, timeout_s))[1]
 
     for kind in (RobotSink, JournalSink, LinesSink):
         monkeypatch.setattr(kind, "stop", noted(kind.stop))
@@ -155,8 +155,8 @@ def test_the_robot_stops_first_so_its_last_acts_are_told(
     service = Service(settings)
     service.tell(LinesSink("stdout", 1, encode))
     service.run(lambda: True)
-    assert stopped[0] == "robot"
-    assert sorted(stopped[1:]) == ["journal", "stdout"]
+    assert stopped[0] == "RobotSink"
+    assert sorted(stopped[1:]) == ["JournalSink", "LinesSink"]
 
 
 def test_states_outlast_events_in_a_full_queue(pipe: tuple[int, int]) -> None:
