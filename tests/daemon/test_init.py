@@ -18,7 +18,7 @@ from rigs.coarse_pad import third_study
 from rigs.doctor_rig import pad_read_too_fast
 from rigs.expectations import RECORDINGS, stream_of
 from rigs.haart_folder import needs_third_study
-from rigs.pressing import pressed
+from rigs.pressing import SECONDS, pressed
 from rigs.programs import TOUCHD, Program
 from rigs.robots import LOGIN, Robot, needs_qi
 from rigs.sensor_rig import PolledPad
@@ -292,13 +292,14 @@ def test_a_pad_unplugged_while_the_grid_is_asked_for_is_one_line() -> None:
         terminal.answer("", f"{port.path} went away: unplugged or switched off?", "The robot's name")
 
 
-def wandering_then_held(row: int, column: int, held_s: float) -> Stream:
+def wandering_then_held(row: int, column: int, held_s: float, wandering_s: float = SECONDS) -> Stream:
     """A fabric pad at rest, under a hand that wanders, and under one that holds a place."""
     wandering = pressed(10, 10, 1023, np.random.default_rng(1))
     y, x = np.mgrid[0:10, 0:10]
     hand = 500 * np.exp(-(((y - row) / 2) ** 2) - ((x - column) / 2) ** 2)
     held = wandering[:1] + np.repeat(hand[None], round(50 * held_s), axis=0)
-    counts = np.concatenate([wandering, held])[:, 1:9, 1:9].clip(0, 1023).astype(np.uint16)
+    moving = wandering[len(wandering) - round(50 * wandering_s) :]
+    counts = np.concatenate([wandering[:25], moving, held])[:, 1:9, 1:9].clip(0, 1023).astype(np.uint16)
     return Stream(counts, [20 * number for number in range(len(counts))], ())
 
 
@@ -307,10 +308,9 @@ def test_the_corner_is_where_the_hand_stays(
     row: int, column: int, turn: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(hand, "_follows", lambda *_: True)
-    monkeypatch.setattr(hand, "HELD_S", hand.HELD_S / 3)
-    pad = FakePort(wandering_then_held(row, column, 4.0), ENCODE, speed=3.0)
+    pad = FakePort(wandering_then_held(row, column, 4.0, wandering_s=2.5), ENCODE)
     with pad as port, open_port(port.path, 115_200) as opened:
-        at_rest = listen(opened, 0.5 / 3)
+        at_rest = listen(opened, 0.5)
         turned = turned_with_a_hand(Console(quiet=True), opened, PRESETS["fabric-grid"], at_rest)
     assert turned == replace(PRESETS["fabric-grid"], turn=turn)
 

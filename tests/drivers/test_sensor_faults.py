@@ -70,9 +70,9 @@ def test_a_board_that_starts_late_and_counts_microseconds_is_not_called_another_
 ) -> None:
     # As an Arduino does: opening the port restarts it, and its boot loader takes a second or two.
     def late(counts: Counts, sensor_ms: int) -> bytes:
-        return encode_csv_line(counts, 1000 * sensor_ms) if sensor_ms > 2200 else b""
+        return encode_csv_line(counts, 1000 * sensor_ms) if sensor_ms > 3200 else b""
 
-    with FakePort(stream_of(), late) as port, sensing(port.path, CsvLines(), silence_s=2.0) as queue:
+    with FakePort(stream_of(), late) as port, sensing(port.path, CsvLines(), silence_s=3.0) as queue:
         next_frames(queue, 30)
     assert "no frame" not in caplog.text
 
