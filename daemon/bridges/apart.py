@@ -38,6 +38,8 @@ OPEN_S = 2.0
 # Of what the process logs at once: DDS logs each packet that it cannot read.
 MOST_LINES = 40
 LEVELS = {"INFO": logging.INFO, "WARNING": logging.WARNING, "ERROR": logging.ERROR}
+# How liblsl marks its lines that warn of nothing.
+NO_WARNING = "INFO|"
 SECTIONS = {"lsl": LslSettings, "ros2": Ros2Settings}
 
 
@@ -127,7 +129,8 @@ class ApartBridge(ConnectedBridge):
                 if level in LEVELS:
                     self._log.log(LEVELS[level], "%s", text)
                 else:
-                    self._log.warning("%s: %s", self.name, last)
+                    own = logging.INFO if NO_WARNING in last else logging.WARNING
+                    self._log.log(own, "%s: %s", self.name, last)
         return last
 
 

@@ -1,6 +1,7 @@
 """LSL, ROS 2 and rosbridge: the times, bytes and names that subscribers receive."""
 
 import base64
+import logging
 import threading
 import time
 from contextlib import closing
@@ -44,6 +45,21 @@ def test_a_library_that_cannot_be_loaded_is_named(
         "lsl: its own process is away (cannot be used on this machine (LSL binary not found. See"
         in caplog.text
     )
+
+
+def test_what_liblsl_says_as_it_starts_is_no_warning(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    says = "import sys; print('api_config.cpp:126   INFO| Loaded default config', file=sys.stderr)"
+    (tmp_path / "pylsl.py").write_text(f"{says}\nraise RuntimeError('ended')")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    caplog.set_level(logging.INFO)
+    bridge = ApartBridge("lsl", LslSettings(), [PAD])
+    bridge.start()
+    wait_for(lambda: "is away" in caplog.text)
+    bridge.stop(2.0)
+    (said,) = (record for record in caplog.records if "Loaded default config" in record.message)
+    assert said.levelno == logging.INFO
 
 
 def test_a_missing_extra_is_one_line_at_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
