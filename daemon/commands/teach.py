@@ -12,7 +12,7 @@ import yaml
 from rich.console import Console
 
 from touchd.daemon.commands.one_pad import add_settings, only_pad, settings_of
-from touchd.daemon.commands.record import LONGEST_S, SHORTEST_S
+from touchd.daemon.commands.record import INCOMPLETE, LONGEST_S, SHORTEST_S
 from touchd.daemon.commands.settings import SERVICE_FOLDER
 from touchd.daemon.config import ConfigError, Settings, load
 from touchd.daemon.parts import load_models
@@ -60,7 +60,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Record, adapt, report, and set the model; returns 0."""
+    """Record, adapt, report, and set the model; returns 0, 1 when stopped before."""
     options = parser().parse_args(arguments)
     found = settings_of(options)
     # If torch is missing, fail before three minutes of recording, not after.
@@ -90,6 +90,7 @@ def main(arguments: Sequence[str]) -> int:
         put_into_use(console, found.file, output, options.pad, is_worse=is_worse)
     except (Stopped, KeyboardInterrupt):
         console.print("\nStopped. What was kept is safe; the same command continues from here.")
+        return INCOMPLETE
     return 0
 
 

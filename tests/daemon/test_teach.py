@@ -136,6 +136,17 @@ def test_a_model_unfit_for_the_scene_is_not_installed(tmp_path: Path, of_service
     assert {path.name for path in tmp_path.iterdir()} == {"touchd.yaml", "home"}
 
 
+def test_a_stopped_session_does_not_end_as_a_finished_one(tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    stream = Stream(np.zeros((540, 8, 8), np.uint16), ideal_clock_ms(540), ())
+    with FakePort(stream, encode_fabric_grid, loop=True) as port:
+        options = ["--port", port.path, "--participant", "anna"]
+        with Terminal("teach", str(tmp_path / "lab"), *options) as terminal:
+            terminal.until("q to stop:")
+            terminal.answer("q", "the same command continues from here.")
+            assert terminal.process.wait(WITHIN_S) == 1
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(400)
 def test_one_command_leads_from_pad_to_model(config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
