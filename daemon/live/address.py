@@ -28,8 +28,10 @@ def parse_address(text: str, configured: LiveSettings | None) -> LiveSettings:
     if not text:
         return settings
     host, _, port = text.rpartition(":")
-    if not (port.isascii() and port.isdigit()) or int(port) > HIGHEST_PORT:
-        raise ConfigError(f"--live {text}: not [HOST:]PORT, such as 8054 or 0.0.0.0:8054")
+    # Without brackets, the end of an IPv6 address would be taken for a port.
+    is_host = ":" not in host or (host.startswith("[") and host.endswith("]"))
+    if not is_host or not (port.isascii() and port.isdigit()) or int(port) > HIGHEST_PORT:
+        raise ConfigError(f"--live {text}: not [HOST:]PORT, such as 8054, 0.0.0.0:8054 or [::1]:8054")
     host = host.removeprefix("[").removesuffix("]") or settings.host
     return msgspec.structs.replace(settings, host=host, port=int(port))
 

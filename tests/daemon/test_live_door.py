@@ -144,7 +144,9 @@ def test_by_default_only_this_computer_sees_the_page() -> None:
     assert parse_address("", None) == LiveSettings(host="127.0.0.1", port=8054)
 
 
-@pytest.mark.parametrize("text", ["x", "localhost", "localhost:", "1:65536", "1:-1", "1:²"])
+@pytest.mark.parametrize(
+    "text", ["x", "localhost", "localhost:", "1:65536", "1:-1", "1:²", "::1", "fe80::1:8080"]
+)
 def test_an_invalid_address_is_refused(text: str) -> None:
     with pytest.raises(ConfigError, match=r"not \[HOST:\]PORT"):
         parse_address(text, None)
