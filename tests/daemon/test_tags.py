@@ -46,8 +46,6 @@ main(["--pid", "{pid}", "participant=P07"])
 class Listed:
     """A sink that keeps its events."""
 
-    name = "list"
-
     def __init__(self) -> None:
         self.events: list[Event] = []
 
