@@ -7,7 +7,6 @@ model learned on single scans and their noise.
 """
 
 from collections import deque
-from itertools import islice
 
 import msgspec
 import numpy as np
@@ -112,7 +111,8 @@ class Ring:
             raise ValueError(
                 f"no frames {start_index} to {stop_index} in the ring, it has {oldest} to {self._next_index}"
             )
-        return list(islice(self._history, start_index - oldest, stop_index - oldest))
+        # Counted from the newest: an answer asks for few frames, and these are near it.
+        return [self._history[index - self._next_index] for index in range(start_index, stop_index)]
 
     def window(self, stop_index: int, length: int) -> NDArray[np.float32]:
         """Return the `length` frames before stop_index as (length, 8, 8) float32 counts; see `frames`."""
