@@ -241,9 +241,9 @@ class Pipeline:
         length = touch.length
         viewers = self._viewers()
         is_shown = bool(viewers) and length % SHOWN_STRIDE_FRAMES == 0
-        # Feed the frame before a mark too, so that only one frame is left at the mark.
+        # Feed the frame before an answer too, so that only one frame is left when it is due.
         is_at_mark = bool(touch.due) and touch.due[0][0] - length in (0, 1)
-        has_left = touch.off_frames == AFTER_FRAMES
+        has_left = AFTER_FRAMES - touch.off_frames in (0, 1)
         is_due = is_at_mark or length - touch.fed >= FEED_FRAMES or has_left
         if length > self._final_frames or not (is_due or is_shown or touch.waits_until_sure):
             return

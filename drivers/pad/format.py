@@ -163,7 +163,7 @@ class Layout:
             laid = laid[:, ::-1]
         if laid.dtype.kind == "f":
             laid = np.rint(laid)
-        counts: Counts = laid.astype(np.uint16, order="C")
+        counts: Counts = np.asarray(laid, np.uint16, order="C")
         counts.flags.writeable = False
         return counts
 

@@ -189,6 +189,12 @@ def test_one_frame_is_left_for_the_model_at_a_mark() -> None:
     assert lengths == sorted({*range(9, 145, 9), 53, 80, 143})
 
 
+def test_one_frame_is_left_for_the_model_once_a_hand_has_left() -> None:
+    bench = Bench()
+    bench.feel(palm(0.5), nothing(14 / 54))
+    assert [len(window) for window in bench.model.stepped] == [9, 18, 27, 36, 39, 40]
+
+
 def test_frames_may_wait_unless_an_answer_is_due() -> None:
     bench, since_touch = Bench(), list[bool]()
     assert bench.pipeline.frames_together == 8
