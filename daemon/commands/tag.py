@@ -55,7 +55,7 @@ def main(arguments: Sequence[str]) -> int:
     if not replies and running:
         raise TagError("touchd runs as another user; put sudo before the command")
     if not replies and options.pid is not None:
-        raise TagError(f"process {options.pid} is no touchd that runs; without --pid, the only one is used")
+        raise TagError(f"process {options.pid} is not a running touchd; leave out --pid if only one runs")
     if not replies:
         raise TagError("no touchd runs on this computer; start it, or give the tags to `touchd run --tag`")
     if len(replies) > 1:

@@ -17,6 +17,7 @@ from rigs.running_daemon import SPEED
 from rigs.wait import WITHIN_S, wait_for
 
 from touchd.daemon import cli
+from touchd.daemon.commands import tag as command
 from touchd.daemon.events import Event, RobotEvent, encode
 from touchd.daemon.kept.touches import decode
 from touchd.daemon.sinks import EventFanout
@@ -113,9 +114,18 @@ def test_there_are_eight_tags_at_most(capsys: pytest.CaptureFixture[str]) -> Non
         changed({}, [f"k{number}=v" for number in range(9)])
 
 
-def test_without_a_daemon_it_says_so_in_a_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_a_daemon_it_says_so_in_a_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(command, "NAMES", tmp_path / "names")
+    (tmp_path / "names").touch()
+    assert cli.main(["tag", "participant=P07"]) == 2
+    assert "no touchd runs on this computer" in capsys.readouterr().err
+
+
+def test_a_process_that_is_not_a_daemon_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     assert tag("participant=P07") == 2
-    assert f"process {os.getpid()} is no touchd that runs" in capsys.readouterr().err
+    assert f"process {os.getpid()} is not a running touchd" in capsys.readouterr().err
 
 
 def test_of_two_daemons_one_has_to_be_chosen(capsys: pytest.CaptureFixture[str]) -> None:
