@@ -161,7 +161,7 @@ def turned_with_a_hand(
     """Ask for the top left corner, then whether the picture follows; return the turned description.
 
     at_rest: what arrived before somebody pressed the pad. None if no picture followed: the grid or the corner
-    was another.
+    was wrong.
     """
     console.print("Touch the corner that should be top left, and hold it ...", style="cyan")
     corner = _touched_corner(opened, described, at_rest)

@@ -21,7 +21,7 @@ def events(*options):
         for line in daemon.stdout:
             if line.startswith(b"{"):
                 yield json.loads(line)
-            else:  # as of --help
+            else:  # the text of --help
                 print(line.decode(), end="")
     if daemon.returncode:
         sys.exit(daemon.returncode)

@@ -8,7 +8,7 @@ from touchd.drivers.pad.port import READ_TIMEOUT_S, Line
 
 
 def ask(opened: Line, parser: FrameParser) -> None:
-    """Ask for the next frame, unless it is not due before the next read."""
+    """Ask for the next frame, if it is due before the next read."""
     assert isinstance(parser, BinaryFrames), "only a binary format has a poll"
     wait_s = parser.ask_in_s(time.monotonic())
     if wait_s > READ_TIMEOUT_S:
