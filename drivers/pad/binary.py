@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from touchd.drivers.frame import Frame
 from touchd.drivers.pad.format import PadFormat, Values
-from touchd.drivers.pad.framing import Damage
 from touchd.drivers.pad.parser import FrameParser
+from touchd.drivers.pad.protocol_counts import Damage
 
 # A header this long hardly ever occurs among cells.
 LONG_HEADER = 3

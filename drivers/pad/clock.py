@@ -28,7 +28,7 @@ from collections import deque
 from dataclasses import dataclass
 
 from touchd.drivers.frame import CLOCK_MODULUS, Counts, Frame
-from touchd.drivers.pad.framing import ProtocolCounts
+from touchd.drivers.pad.protocol_counts import ProtocolCounts
 
 # The units in which a clock may count, in milliseconds.
 UNITS_MS = (1.0, 0.001, 1000.0)

@@ -7,7 +7,7 @@ import numpy as np
 from touchd.drivers.frame import Frame
 from touchd.drivers.pad.clock import FrameClock
 from touchd.drivers.pad.format import PadFormat, Values, layout_of
-from touchd.drivers.pad.framing import ProtocolCounts
+from touchd.drivers.pad.protocol_counts import ProtocolCounts
 
 # What an ESP32 or ESP8266 prints when it crashes and starts.
 BOOT_LOG = (b"Guru Meditation", b"rst:0x", b"rst cause", b"Brownout detector", b"ESP-ROM:")

@@ -10,7 +10,7 @@ from rigs.formats import FabricGrid, encode_fabric_grid
 from rigs.wire import assert_are, counts_of, flip, packet, packets
 
 from touchd.drivers.pad.clock import MAX_HELD, ArrivalClock, FrameClock
-from touchd.drivers.pad.framing import ProtocolCounts
+from touchd.drivers.pad.protocol_counts import ProtocolCounts
 
 STILL = np.zeros((8, 8), np.uint16)
 
