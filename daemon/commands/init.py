@@ -29,12 +29,13 @@ from touchd.drivers.errors import os_errors_as
 from touchd.drivers.installed import program_name
 from touchd.drivers.numbers import within
 from touchd.drivers.pad.format import PRESETS, PadFormat
+from touchd.drivers.pad.format_yaml import as_yaml
 from touchd.drivers.pad.names import LastingName, lasting_name
 from touchd.drivers.pad.port import Line, SensorError, at_baud, open_port
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.robot.session import RobotError
 from touchd.drivers.search.listen import USUAL_BAUDS, Chunk, likeliest_baud
-from touchd.drivers.search.search import Grid, as_yaml
+from touchd.drivers.search.search import Grid
 from touchd.drivers.whole_file import whole_file
 
 ANSWER_S = 0.5

@@ -21,7 +21,7 @@ from touchd.drivers.pad.format import LONGEST_SIDE, SHORTEST_SIDE, PadFormat
 from touchd.drivers.pad.port import Line, forget_waiting, read_waiting
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.search.listen import Chunk, listen
-from touchd.drivers.search.search import Finding, Grid, has_place, search, survey
+from touchd.drivers.search.search import Finding, Grid, placements, search, survey
 
 # A pad of 8 frames a second sends 16 in this time; half of them are enough to see their size.
 REST_S = 2.0
@@ -95,7 +95,7 @@ def ask_grid(console: Console, opened: Line) -> Grid | None:
             console.print(str(error), style="yellow")
             if not typed:
                 break
-        if grid not in (None, refused) and not has_place(chunks, grid):
+        if grid not in (None, refused) and not any(placements(chunks, grid)):
             console.print(f"{seen.frame} do not fit {grid[0]}x{grid[1]} cells", style="yellow")
             grid, refused = None, grid
     # What came while the person typed is not complete.

@@ -14,11 +14,12 @@ from touchd.daemon.monitor import MANY_SHARE
 from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, MIN_RATE_HZ, ROWS
 from touchd.drivers.pad.arrived import is_text, looks_like
 from touchd.drivers.pad.format import PadFormat
+from touchd.drivers.pad.format_yaml import as_yaml
 from touchd.drivers.pad.pace import clock_by_ours, pace_of
 from touchd.drivers.pad.port import Line, SensorError, at_baud, check_port, forget_waiting, open_port
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.search.listen import USUAL_BAUDS, Chunk
-from touchd.drivers.search.search import Finding, as_yaml, search
+from touchd.drivers.search.search import Finding, search
 
 TRY_BAUD_S = 0.5
 # The ring resamples any rate from the first on to 54 Hz; answers are best between the other two.

@@ -5,7 +5,7 @@ ever in between.
 """
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 from msgspec.structs import replace
@@ -66,15 +66,13 @@ def tables(data: bytes) -> Iterator[NDArray[np.uint8]]:
             yield part[begins[:, None] + np.arange(2 * length)]
 
 
-def placements(
-    data: bytes, frames: Iterable[NDArray[np.uint8]], rows: int, columns: int
-) -> Iterator[Placement]:
-    """Yield the placements of a grid's cells in the frames of the lengths that fit; frames: from `tables`.
+def placements(data: bytes, rows: int, columns: int) -> Iterator[Placement]:
+    """Yield the placements of a grid's cells in the frames of the lengths that fit.
 
     Their header is the longest run of bytes that never change between them. Zeros, and bytes before one that
     only rises, may be upper bytes of a counter, and change later.
     """
-    for table in frames:
+    for table in tables(data):
         length, usual = table.shape[1] // 2, np.median(table, axis=0).astype(np.uint8)
         steady = np.where((table == usual).mean(axis=0) >= STEADY_SHARE, usual, 0).astype(np.uint8).tobytes()
         rises = (np.diff(table.astype(np.int16), axis=0) >= 0).all(axis=0) & (np.ptp(table, axis=0) > 0)

@@ -4,20 +4,18 @@ Told the grid, arithmetic leaves a few placements of the cells in a frame. The o
 together most is proposed if a hand presses the pad and touchd's own parser reads nearly all that came.
 """
 
-import json
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from operator import attrgetter
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from touchd.drivers.frame import MIN_RATE_HZ, Frame
 from touchd.drivers.pad.arrived import has_text, looks_like
 from touchd.drivers.pad.format import LONGEST_SIDE, PRESETS, SHORTEST_SIDE, PadFormat, layout_of
+from touchd.drivers.pad.format_yaml import as_yaml
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.search import binary, text
@@ -42,37 +40,6 @@ LONGEST_PAUSE_S = 2.0
 # What a preset and a description of the same pad have in common.
 MEANING = attrgetter("framing", "rows", "columns", "full_scale", "invert")
 ADVICE = "print each frame in a line, or a row a line and an empty line after each; begin bytes with a header"
-
-
-class _Arrived:
-    """What arrived; the lines and the frames in it, looked for once."""
-
-    def __init__(self, chunks: Sequence[Chunk]) -> None:
-        self.chunks = chunks
-        self.data = b"".join(chunk.data for chunk in chunks)
-        self.seconds = seconds_of(chunks)
-
-    @cached_property
-    def lines(self) -> list[text.TextLine] | None:
-        return text.lines_of(self.data)
-
-    @cached_property
-    def tables(self) -> list[NDArray[np.uint8]]:
-        return list(binary.tables(self.data))
-
-
-@dataclass(frozen=True)
-class _Frames:
-    """Frames of unknown rows and columns.
-
-    size: in words. rate_hz: frames a second. lines: how many lines one has, and cells a line; None if it has
-    none. fits: how many cells it may hold.
-    """
-
-    size: str
-    rate_hz: float
-    lines: Grid | None
-    fits: Sequence[int]
 
 
 @dataclass(frozen=True)
@@ -106,71 +73,52 @@ class Finding:
 
 def survey(chunks: Sequence[Chunk]) -> Survey | None:
     """Describe the frames in what arrived, without knowing the grid; None if there are none."""
-    return _survey(_Arrived(chunks))
-
-
-def _survey(arrived: _Arrived) -> Survey | None:
-    frames = _frames_in(arrived)
-    if frames is None:
-        return None
-    if frames.lines and all(side in SIDES for side in frames.lines):
-        return Survey(frames.size, frames.rate_hz, frames.lines, "as its lines show")
-    for name, preset in PRESETS.items():
-        if _is_read(preset, arrived.chunks):
-            return Survey(frames.size, frames.rate_hz, (preset.rows, preset.columns), f"as {name}")
-    sides = ((rows, each // rows) for each in frames.fits for rows in SIDES if each % rows == 0)
-    grids = (each for each in sides if each[0] <= each[1] and each[1] in SIDES)
-    squarest = min(grids, key=lambda grid: grid[1] / grid[0], default=None)
-    return Survey(frames.size, frames.rate_hz, squarest, "the squarest", is_shown=False)
-
-
-def _frames_in(arrived: _Arrived) -> _Frames | None:
-    """Measure the frames in what arrived, without knowing the grid; None if there are none."""
-    seconds = arrived.seconds
-    if arrived.lines is None:
-        if not arrived.tables:
+    data, seconds = b"".join(chunk.data for chunk in chunks), seconds_of(chunks)
+    if (lines := text.lines_of(data)) is None:
+        table = next(binary.tables(data), None)
+        if table is None:
             return None
-        length = arrived.tables[0].shape[1] // 2
+        length = table.shape[1] // 2
+        frame, rate_hz = f"{length} bytes a frame", len(data) / length / seconds
         left = range(length - 1, max(length - binary.MOST_AROUND, 0), -1)
         fits = [size // cell for size in left for cell in (1, 2, 4)]
-        return _Frames(f"{length} bytes a frame", len(arrived.data) / length / seconds, None, fits)
-    # Log lines among frames of one line look like separators.
-    found = text.printed(arrived.lines)
-    usual = max(found, key=lambda each: len(each.numbers) >= MIN_RATE_HZ * seconds, default=None)
-    if usual is None:
-        return None
-    count, height, width = usual.numbers.shape
-    # Numbers that count from frame to frame, or from line to line, are not cells.
-    by_frame, by_line = (binary.counting(each) for each in (usual.numbers, usual.numbers.swapaxes(0, 1)))
-    shown = height, width - int((by_frame.all(axis=0) | by_line.all(axis=0)).sum())
-    return _Frames(f"{height * width} numbers a frame", count / seconds, shown, [math.prod(shown)])
-
-
-def as_yaml(described: PadFormat) -> str:
-    """Return a description as it stands in the configuration, on one line."""
+    else:
+        # Log lines among frames of one line look like separators.
+        found = text.printed(lines)
+        usual = max(found, key=lambda each: len(each.numbers) >= MIN_RATE_HZ * seconds, default=None)
+        if usual is None:
+            return None
+        count, height, width = usual.numbers.shape
+        frame, rate_hz = f"{height * width} numbers a frame", count / seconds
+        # Numbers that count from frame to frame, or from line to line, are not cells.
+        by_frame, by_line = (binary.counting(each) for each in (usual.numbers, usual.numbers.swapaxes(0, 1)))
+        shown = height, width - int((by_frame.all(axis=0) | by_line.all(axis=0)).sum())
+        if all(side in SIDES for side in shown):
+            return Survey(frame, rate_hz, shown, "as its lines show")
+        fits = [math.prod(shown)]
     for name, preset in PRESETS.items():
-        if preset == described:
-            return f"format: {name}"
-    always = {"framing": described.framing, "rows": described.rows, "columns": described.columns}
-    fields = always | msgspec.to_builtins(described) | {"full_scale": described.full_scale}
-    shown = {key: f"{value:g}" if key == "full_scale" else json.dumps(value) for key, value in fields.items()}
-    return f"format: {{{', '.join(f'{key}: {value}' for key, value in shown.items())}}}"
+        if _is_read(preset, chunks):
+            return Survey(frame, rate_hz, (preset.rows, preset.columns), f"as {name}")
+    sides = ((rows, each // rows) for each in fits for rows in SIDES if each % rows == 0)
+    grids = (each for each in sides if each[0] <= each[1] and each[1] in SIDES)
+    squarest = min(grids, key=lambda grid: grid[1] / grid[0], default=None)
+    return Survey(frame, rate_hz, squarest, "the squarest", is_shown=False)
 
 
 def search(chunks: Sequence[Chunk], grid: Grid | None) -> Finding:
     """Search for the description of a pad in its bytes. grid: its rows and columns, if somebody told them."""
     sizes = np.cumsum([len(chunk.data) for chunk in chunks[::-1]])
     chunks = chunks[len(chunks) - int(np.searchsorted(sizes, MOST_BYTES, "right")) :]
-    if not any(chunk.data for chunk in chunks):
+    data = b"".join(chunk.data for chunk in chunks)
+    if not data:
         return Finding(None, "is it the pad's port, and does the pad run?", "nothing arrives")
-    arrived = _Arrived(chunks)
-    saw = f"{len(arrived.data) / arrived.seconds:.0f} bytes/s of {looks_like(arrived.data)}"
+    saw = f"{len(data) / seconds_of(chunks):.0f} bytes/s of {looks_like(data)}"
     # A survey tries every preset, which takes longer than the rest of a search.
-    if grid is None and (seen := _survey(arrived)) and seen.is_shown:
-        grid = seen.grid
-    best = _best(arrived, grid) if grid else None
+    seen = None if grid else survey(chunks)
+    grid = grid or (seen.grid if seen and seen.is_shown else None)
+    best = max(placements(chunks, grid), key=_fit, default=None) if grid else None
     if best is None:
-        return Finding(None, _why_none_fits(arrived, grid), saw)
+        return Finding(None, _why_none_fits(data, seen or survey(chunks), grid), saw)
     best = replace(best, described=settled(best))
     may_come = bool(missing := objection(best))
     described = best.described if may_come else _completed(best.described, chunks)
@@ -180,23 +128,11 @@ def search(chunks: Sequence[Chunk], grid: Grid | None) -> Finding:
     return Finding(described, "", saw)
 
 
-def has_place(chunks: Sequence[Chunk], grid: Grid) -> bool:
-    """Whether the frames in what arrived can hold the cells of a grid."""
-    return any(_placements(_Arrived(chunks), grid))
-
-
-def _best(arrived: _Arrived, grid: Grid) -> Placement | None:
-    """Return the placement in which neighbours move together most, smoothly."""
-    return max(_placements(arrived, grid), key=_fit, default=None)
-
-
-def _placements(arrived: _Arrived, grid: Grid) -> Iterator[Placement]:
-    """Yield the placements of a grid's cells; a clock is not a cell."""
-    placed: Iterator[Placement]
-    if arrived.lines is None:
-        placed = binary.placements(arrived.data, arrived.tables, *grid)
-    else:
-        placed = text.placements(arrived.lines, *grid)
+def placements(chunks: Sequence[Chunk], grid: Grid) -> Iterator[Placement]:
+    """Yield the placements of a grid's cells in the frames of what arrived; a clock is not a cell."""
+    data = b"".join(chunk.data for chunk in chunks)
+    lines = text.lines_of(data)
+    placed = binary.placements(data, *grid) if lines is None else text.placements(lines, *grid)
     return (each for each in placed if not binary.counting(each.values).any())
 
 
@@ -211,15 +147,14 @@ def _fit(placed: Placement) -> tuple[float, float]:
     return round(fit, 4), -float(np.ptp(np.median(placed.values, axis=0)))
 
 
-def _why_none_fits(arrived: _Arrived, grid: Grid | None) -> str:
-    if has_text(arrived.data):
+def _why_none_fits(data: bytes, seen: Survey | None, grid: Grid | None) -> str:
+    if has_text(data):
         return "print lines of numbers and nothing else"
-    frames = _frames_in(arrived)
-    if frames is None:
+    if seen is None:
         return f"no frames, or a wrong baud rate: {ADVICE}"
     if grid is None:
-        return f"{frames.size}; say --grid ROWSxCOLUMNS"
-    return f"{frames.size}, which do not fit {grid[0]}x{grid[1]} cells; say another --grid, or {ADVICE}"
+        return f"{seen.frame}; say --grid ROWSxCOLUMNS"
+    return f"{seen.frame}, which do not fit {grid[0]}x{grid[1]} cells; say another --grid, or {ADVICE}"
 
 
 def _parsed(described: PadFormat, chunks: Sequence[Chunk]) -> tuple[FrameParser, list[Frame]]:

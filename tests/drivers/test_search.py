@@ -17,9 +17,10 @@ from rigs.pressing import chunks_of, pressed
 
 from touchd.drivers.fakes.encode import encode_values
 from touchd.drivers.pad.format import PRESETS, PadFormat, layout_of
+from touchd.drivers.pad.format_yaml import as_yaml
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.search.listen import Chunk, likelihood
-from touchd.drivers.search.search import Finding, as_yaml, search, survey
+from touchd.drivers.search.search import Finding, search, survey
 
 SIDES = st.integers(4, 32)
 
