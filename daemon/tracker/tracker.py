@@ -570,9 +570,10 @@ class TouchTracker:
         return bool(newer > (1 + RISE_SHARE) * older)
 
     def _smooth(self) -> Taxels:
-        frames = self._recent.last(SMOOTH_FRAMES).copy()
-        frames.sort(axis=0)
-        median: Taxels = frames[SMOOTH_FRAMES // 2]
+        """Return the median of the newest three frames, (64,), without a sort, which takes twice as long."""
+        before, now, newest = self._recent.last(SMOOTH_FRAMES)
+        between = np.minimum(np.maximum(before, now), newest)
+        median: Taxels = np.maximum(np.minimum(before, now), between)
         return median
 
     def _above(self, rise: NDArray[np.float32]) -> NDArray[np.float32]:
