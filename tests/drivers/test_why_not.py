@@ -176,6 +176,17 @@ def test_a_container_without_the_device_is_named(a_denied_port: str) -> None:
         open_port(a_denied_port, BAUD)
 
 
+def test_a_check_names_the_container_whose_rules_deny_access(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("INVOCATION_ID", raising=False)
+    # As the system answers where a control group denies the device.
+    monkeypatch.setattr(os, "access", lambda *_, **__: False)
+    with (
+        FakePort(stream_of(), encode_fabric_grid) as port,
+        pytest.raises(SensorError, match=f"docker run --device {port.path}"),
+    ):
+        check_port(port.path, BAUD)
+
+
 def test_the_group_that_owns_the_device_is_named(a_denied_port: str, monkeypatch: pytest.MonkeyPatch) -> None:
     class Uucp:
         gr_name = "uucp"
