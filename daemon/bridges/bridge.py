@@ -69,14 +69,9 @@ class Bridge(QueuedSink[Item]):
         self._next_frame_s = dict.fromkeys(pads, 0.0)
         self._peer_is_there = threading.Event()
         self._was_reported = False
-        self._draining = False
         self._there_since_s = 0.0
         self._backoff = Backoff(BACKOFF_FIRST_S, BACKOFF_CAP_S)
         super().__init__(name, logging.getLogger(f"touchd.daemon.bridges.{name}"))
-
-    def stop(self, timeout_s: float) -> None:
-        self._draining = True
-        super().stop(timeout_s)
 
     def put(self, item: Item) -> None:
         """Queue an event of these pads or of the robot; never blocks."""
@@ -136,8 +131,7 @@ class Bridge(QueuedSink[Item]):
         self._was_reported = True
         if kind == AWAY:
             self._faults.end(OUT_OF_REACH, f"{where} answers")
-        if not self._draining:
-            self._faults.begin(kind, f"{where} is away ({reason}); trying until it is there")
+        self._faults.begin(kind, f"{where} is away ({reason}); trying until it is there")
 
     def _note_refused(self, why: str) -> None:
         """Count a message that the peer refused, and log why."""
