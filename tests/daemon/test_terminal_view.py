@@ -28,6 +28,7 @@ from touchd.daemon.labels import Labeller, keys_of
 from touchd.daemon.terminal.big_words import big
 from touchd.daemon.terminal.view import View
 from touchd.daemon.words import name_of, vocabulary
+from touchd.drivers.frame import DEFAULT_PAD, Frame
 
 SIZES = [(10, 5), (1, 1), (60, 24), (80, 24), (100, 30), (120, 40), (200, 60), (40, 16), (30, 8)]
 MARKS = (54, 81, 144)
@@ -90,6 +91,20 @@ def test_the_view_fills_the_terminal_exactly(size: tuple[int, int], colours: str
         lines = screen(view, console)
         assert [cell_len(line) for line in lines] == [size[0]] * size[1]
         touch(view)
+
+
+def test_only_the_frames_of_the_shown_pad_are_shown() -> None:
+    view, console = view_of(80, 24, "truecolor")
+
+    def after_a_frame(counts: int, pad: str) -> str:
+        view.put_frame(Frame(0, 0.0, np.full((8, 8), counts, np.uint16)), 0, pad)
+        with console.capture() as shown:
+            console.print(view)
+        return shown.get()
+
+    at_rest = after_a_frame(0, DEFAULT_PAD)
+    assert after_a_frame(90, "arm") == at_rest
+    assert after_a_frame(90, DEFAULT_PAD) != at_rest
 
 
 @pytest.mark.parametrize("size", [(60, 24), (80, 24), (120, 40)])
