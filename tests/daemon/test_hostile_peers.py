@@ -131,7 +131,7 @@ def endured(folder: Path, attacks: Sequence[Attack], seconds: float, **settings:
             while time.monotonic() < until_s:
                 time.sleep(0.05)
                 now_mb = resident_mb(daemon.process.pid)
-                # A process that ends and the next one are there at once for a moment.
+                # For a moment, a process that ends and the next one both run.
                 most_mb, before_mb = max(most_mb, min(before_mb, now_mb)), now_mb
             assert daemon.process.poll() is None
             asked_s = time.monotonic()

@@ -27,7 +27,7 @@ from touchd.drivers.frame import Counts
 from touchd.drivers.recording import Stream, ideal_clock_ms, read_recordings, write_recordings
 
 SPEED = 4.0
-# So long that a busy machine, too, shows what is waited for.
+# Long enough for a busy machine to show what a test waits for.
 ENDLESS = ("--seconds", "60")
 
 

@@ -1,4 +1,4 @@
-"""Waits for a condition, and tries a test of time again."""
+"""Waits for a condition, and retries timing tests."""
 
 import functools
 import time
