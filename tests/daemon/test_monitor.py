@@ -133,6 +133,21 @@ def test_jumps_of_a_hundred_counts_a_frame_are_said(cells: int, jump: int, is_sa
     assert bool([what for _, what, _ in faults_in(counts) if "jump" in what]) == is_said
 
 
+@pytest.mark.parametrize(("every_ms", "is_said"), [(24.5, True), (25.5, False)])
+def test_below_forty_frames_a_second_a_jump_may_be_a_pat(every_ms: float, is_said: bool) -> None:
+    counts = sound_pad(20)
+    counts[1::2, 2:4, 2:4] += np.uint16(300)
+    clock_ms = np.rint(every_ms * np.arange(len(counts))).astype(int).tolist()
+    assert bool([what for _, what, _ in faults_in(counts, clock_ms) if "jump" in what]) == is_said
+
+
+@pytest.mark.parametrize(("load", "is_said"), [(500, True), (800, False)])
+def test_noise_of_less_than_half_a_load_is_not_a_jump(load: int, is_said: bool) -> None:
+    counts = np.full((20 * RATE_HZ, 8, 8), load, np.uint16)
+    counts[1::2, 2:4, 2:4] += np.uint16(270)
+    assert bool([what for _, what, _ in faults_in(counts) if "jump" in what]) == is_said
+
+
 def test_a_garbled_line_that_gets_better_is_garbled_until_it_is_good() -> None:
     seldom = sound_pad(60)
     seldom[::4, 2:4, 2:4] += np.uint16(300)
@@ -403,6 +418,20 @@ def test_frames_refused_during_an_outage_are_not_a_fault(caplog: pytest.LogCaptu
     assert caplog.messages == []
 
 
+@pytest.mark.parametrize("restarts", [0, 1])
+def test_what_a_board_prints_as_it_restarts_is_not_damage(
+    restarts: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    parser, still = FabricGrid(), np.zeros((8, 8), np.uint16)
+    monitor = PadMonitor(parser=parser, where="COM3")
+    for second in range(round(1.5 * COMPARE_S)):
+        monitor.on_frame(Frame(1000 * second, float(second), still), restarted=False)
+        parser.counts.frames += 54
+        parser.counts.bad_framing += 5
+        parser.counts.restarts = restarts
+    assert any("damaged" in message for message in caplog.messages) == (not restarts)
+
+
 def test_a_clock_that_is_not_used_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     parser = parser_of(SENT)
     monitor = PadMonitor(parser=parser, where="COM3")
@@ -532,6 +561,16 @@ def test_a_noisy_pad_is_degraded_until_it_is_calm() -> None:
         assert states_of(monitor, [0]) == []
         monitor.on_rest(is_noisy=is_noisy, loose_lines=())
         assert [now.state for now in states_of(monitor, [0])] == [state]
+
+
+def test_a_pad_that_is_calm_in_between_is_not_noisy() -> None:
+    monitor = PadMonitor()
+    for is_noisy in (True, False, True):
+        for _ in range(1 if not is_noisy else NOISY_CHECKS - 1):
+            monitor.on_rest(is_noisy=is_noisy, loose_lines=())
+        assert states_of(monitor, [0]) == []
+    monitor.on_rest(is_noisy=True, loose_lines=())
+    assert [now.state for now in states_of(monitor, [0])] == ["degraded"]
 
 
 def test_a_pad_that_was_gone_is_not_noisy_until_measured_again(caplog: pytest.LogCaptureFixture) -> None:
