@@ -26,9 +26,12 @@ from touchd.daemon.bridge_settings import MqttSettings
 from touchd.daemon.bridges.bridge import Bridge, BridgeError
 from touchd.daemon.bridges.bridges import make_bridges
 from touchd.daemon.bridges.retained import OnBroker, Retained, file_for
-from touchd.daemon.config import JournalSettings, PadSettings, SceneSettings, Settings
+from touchd.daemon.config import PadSettings, SceneSettings, Settings
 from touchd.daemon.events import SensorEvent, encode
 from touchd.daemon.kept.touches import decode
+from touchd.daemon.parts import make_parts
+from touchd.drivers.frame import NO_TOUCH
+from touchd.drivers.queue import Signal
 
 MQTTv311 = pytest.importorskip("paho.mqtt.client").MQTTv311
 pytestmark = needs_mosquitto
@@ -245,6 +248,7 @@ def test_home_assistant_gets_told_answers_as_events(port: int, opened: Open) -> 
     template = jinja2.Environment().from_string(entity["value_template"])
     event = json.loads(template.render(value_json=json.loads(encode(PREDICTION))))
     assert event["event_type"] in entity["event_types"]
+    assert NO_TOUCH not in entity["event_types"]
     assert event == {"event_type": "stroke", "confidence": 0.81, "stage": "early", "touch": 7}
     assert template.render(value_json=json.loads(encode(touch(1)))) == ""
     available = jinja2.Environment().from_string(entity["availability_template"])
@@ -280,9 +284,10 @@ def configured(tmp_path: Path) -> Iterator[Configured]:
 
     def configure(name: str, mqtt: MqttSettings | None, **settings: Any) -> tuple[Bridge, ...]:
         (tmp_path / name).touch()
-        models = {"pad": Scripted(), "arm": Scripted()}
-        state = JournalSettings().file.parent
-        bridges = make_bridges(Settings(mqtt=mqtt, **settings), models, state, tmp_path / name)
+        parts = make_parts(
+            Settings(mqtt=mqtt, journal=None, **settings), print, tuple, Signal(), tmp_path / name
+        )
+        bridges = parts.bridges
         started.extend(bridges)
         for bridge in bridges:
             bridge.start()

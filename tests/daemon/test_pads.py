@@ -31,7 +31,7 @@ from touchd.daemon.config import (
     Settings,
     load,
 )
-from touchd.daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded
+from touchd.daemon.events import Event, Prediction, RobotAction, SensorEvent, TouchBegan, TouchEnded
 from touchd.daemon.kept.touch_store import folder_of, kept_touches
 from touchd.daemon.kept.touches import decode, read_journal
 from touchd.daemon.parts import make_parts
@@ -162,7 +162,7 @@ def test_a_pads_status_is_up_only_after_its_first_frames() -> None:
 
 
 def test_the_robot_gets_each_pads_events_under_its_name() -> None:
-    calls = CallLog()
+    calls, events = CallLog(), list[Event]()
     with StubRobot(calls.add) as robot:
         say = ActionRule(do=(Action(say="{gesture}"),))
         rules: dict[str, tuple[ActionRule, ...]] = {"head": (say,), "left_arm": ()}
@@ -173,7 +173,7 @@ def test_the_robot_gets_each_pads_events_under_its_name() -> None:
                 for name, actions in rules.items()
             },
         )
-        sink = link_to_robot(settings, lambda _: None, robot.open_session)
+        sink = link_to_robot(settings, events.append, robot.open_session)
         sink.start()
         for pad in rules:
             sink.put(SensorEvent(state="up" if pad == "head" else "down", time=TIME, pad=pad))
@@ -185,6 +185,7 @@ def test_the_robot_gets_each_pads_events_under_its_name() -> None:
         sink.stop(WITHIN_S)
         calls.wait_for_raise("TouchGesture/head/Status", "down")
         assert [call.method for call in calls.all()].count("say") == 1
+        assert [event.pad for event in events if isinstance(event, RobotAction)] == ["head"]
 
 
 @pytest.mark.parametrize(
