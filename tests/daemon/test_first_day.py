@@ -196,11 +196,15 @@ def test_the_nearest_configuration_is_taken(homes: dict[str, Path]) -> None:
     assert find_settings(homes["user"]).settings.sensor.port == "user"
 
 
+@pytest.mark.parametrize("what", ["file", "folder"])
 def test_a_configuration_that_only_root_reads_is_named(
-    homes: dict[str, Path], monkeypatch: pytest.MonkeyPatch
+    homes: dict[str, Path], monkeypatch: pytest.MonkeyPatch, what: str
 ) -> None:
-    homes["service"].write_text("sensor: {port: service}")
-    monkeypatch.setattr(os, "access", lambda *_, **__: False)
+    # The files of a folder that is closed cannot be seen.
+    if what == "file":
+        homes["service"].write_text("sensor: {port: service}")
+    open_folder = homes["service"].parent if what == "file" else None
+    monkeypatch.setattr(os, "access", lambda path, *_, **__: path == open_folder)
     said = f"settings: the defaults; {homes['service']} can be read only with sudo"
     assert str(find_settings(None)) == said
 

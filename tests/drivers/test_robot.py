@@ -5,6 +5,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import closing
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -163,6 +164,16 @@ def test_without_qi_a_configured_robot_is_reported_in_one_line(
     ) as error:
         RobotLink(RobotSettings(url="tcp://nao.local:9559"))
     assert "\n" not in str(error.value)
+
+
+def test_a_qi_that_cannot_be_loaded_is_reported_with_the_reason(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "qi.py").write_text("raise ImportError('libqi.so: no such file')")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "qi", raising=False)
+    with pytest.raises(RobotError, match=r"NAOqi, cannot be loaded \(libqi\.so: no such file\); "):
+        RobotLink(RobotSettings(url="tcp://nao.local:9559"))
 
 
 @pytest.mark.parametrize(
