@@ -303,12 +303,16 @@ def wandering_then_held(row: int, column: int, held_s: float, wandering_s: float
     return Stream(counts, [20 * number for number in range(len(counts))], ())
 
 
-@pytest.mark.parametrize(("row", "column", "turn"), [(1, 1, 0), (1, 8, 270), (8, 8, 180), (8, 1, 90)])
+# The hand of the last case is there before the corner is asked for.
+@pytest.mark.parametrize(
+    ("row", "column", "turn", "wandering_s"),
+    [(1, 1, 0, 2.5), (1, 8, 270, 2.5), (8, 8, 180, 2.5), (8, 1, 90, 0.0)],
+)
 def test_the_corner_is_where_the_hand_stays(
-    row: int, column: int, turn: int, monkeypatch: pytest.MonkeyPatch
+    row: int, column: int, turn: int, wandering_s: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(hand, "_follows", lambda *_: True)
-    pad = FakePort(wandering_then_held(row, column, 4.0, wandering_s=2.5), ENCODE)
+    pad = FakePort(wandering_then_held(row, column, 4.0, wandering_s), ENCODE)
     with pad as port, open_port(port.path, 115_200) as opened:
         at_rest = listen(opened, 0.5)
         turned = turned_with_a_hand(Console(quiet=True), opened, PRESETS["fabric-grid"], at_rest)
