@@ -166,8 +166,7 @@ class Decision:
 
     def weigh(self, probabilities: NDArray[np.float64]) -> dict[str, float]:
         """Return (labels,) probabilities by label, renormalised over the gestures that can occur."""
-        pairs = zip(probabilities.tolist(), self._occurs, strict=True)
-        kept = [probability if occurs else 0.0 for probability, occurs in pairs]
+        kept = [p if occurs else 0.0 for p, occurs in zip(probabilities.tolist(), self._occurs, strict=True)]
         if not any(kept):
             kept = [float(occurs) for occurs in self._occurs]
         total = sum(kept)

@@ -227,10 +227,9 @@ class ClockCheck:
 
     def _deliver(self, run: list[Frame]) -> list[Frame]:
         self._last = run[-1]
-        ahead_ms = self._ahead_ms
-        if not ahead_ms:
+        if not self._ahead_ms:
             return run
-        return [Frame((one.sensor_ms + ahead_ms) % CLOCK_MODULUS, one.host_s, one.pressure) for one in run]
+        return [Frame((f.sensor_ms + self._ahead_ms) % CLOCK_MODULUS, f.host_s, f.pressure) for f in run]
 
     def _refuse_held(self) -> None:
         self._counts.bad_time += len(self._held)

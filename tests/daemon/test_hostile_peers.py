@@ -33,7 +33,7 @@ from touchd.drivers.robot.session import RobotSettings
 
 # What a bridge's own process may take, and what the daemon itself may.
 MOST_GROWTH_MB = MOST_MB + 8.0
-# A minute's attack falls into two of the minutes in which a place may log so many lines.
+# The log's limit begins anew once during a minute's attack.
 MOST_LOG_LINES = 2 * MOST_LINES + 20
 SETTLING_S = 0.7
 # A separate DDS domain, unlike a lab's.
