@@ -162,8 +162,9 @@ class EncoderBlock(nn.Module):
         """Return (B, T, width) from the frames x; keys and values may begin with those of frames before."""
         B, T, width = x.shape
         key, value = key_value.chunk(2, dim=1)
-        steps = torch.arange(key.shape[2], device=x.device)
-        distance = (steps[-T:, None] - steps[None, :]).to(x.dtype)  # (T, M + T)
+        seen = torch.arange(key.shape[2], device=x.device)
+        newest = torch.arange(key.shape[2] - T, key.shape[2], device=x.device)
+        distance = (newest[:, None] - seen).to(x.dtype)  # (T, M + T)
         bias = -self.slopes * torch.where(distance < 0, FAR_FRAMES, distance)
         scores = query @ key.transpose(-1, -2) / math.sqrt(width // self.heads) + bias
         mixed = (torch.softmax(scores, dim=-1) @ value).transpose(1, 2).reshape(B, T, width)
@@ -253,9 +254,8 @@ def _convolve(images: Tensor, weight: Tensor, bias: Tensor | None) -> Tensor:
 
 
 def _at(frames: Tensor, T: int, taps: Tensor) -> Tensor:
-    """Return (B, T * taps, ...): for each of T frames in a row, those at the taps after it."""
-    places = torch.arange(T, device=frames.device)[:, None] + taps
-    return frames.index_select(1, places.flatten())
+    """Return (B, T, taps, ...): for each of T frames in a row, those at the taps after it."""
+    return frames[:, torch.arange(T, device=frames.device)[:, None] + taps]
 
 
 def _planes(smooth_frames: int) -> Tensor:

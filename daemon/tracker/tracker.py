@@ -344,7 +344,7 @@ class TouchTracker:
         if quiet.shifted_frames >= CALIBRATION_FRAMES:
             # Less: rest was calibrated under a hand or an object that is now gone. More: the supply changed.
             self._calibrate(quiet)
-        elif self._is_time_to_check and self._index - quiet.unsteady_index >= SECOND_FRAMES:
+        elif self._is_time_to_check() and self._index - quiet.unsteady_index >= SECOND_FRAMES:
             older, newer = self._recent.halves()
             # What only rises may be a hand; a body that breathes falls as often.
             if newer.sum() <= older.sum():
@@ -450,13 +450,13 @@ class TouchTracker:
             return None
         if self._index - touch.first >= LONGEST_FRAMES:
             return self._end_at_new_rest(touch, "longest")
-        if self._is_time_to_check and self._index - touch.first >= SECOND_FRAMES:
+        if self._is_time_to_check(touch.first) and self._index - touch.first >= SECOND_FRAMES:
             return self._check_end(touch, may_ask=not is_contact or quiet_frames == 1)
         return None
 
     def _is_contact(self, touch: Touched, level: float) -> bool:
         """Whether the hand makes this contact, rather than having left it behind."""
-        if self._is_time_to_check:
+        if self._is_time_to_check(touch.first):
             _, newer = self._recent.halves()
             touch.highest_level = max(touch.highest_level, self._level(newer))
         touch.lowest_level = min(touch.lowest_level, level)
@@ -494,8 +494,7 @@ class TouchTracker:
         low = max(LOW_SHARE * touch.highest_level, LIGHT_COUNTS)
         if not is_still and float(self._above(rise - drift).sum()) > low:
             self._network.forget_answers()
-        elif may_ask and (self._index - touch.first) % ASK_FRAMES < CHECK_FRAMES:
-            # Counted from the touch's first frame, this is never a frame at which an answer is due.
+        elif may_ask and (self._index - touch.first) % ASK_FRAMES == 0:
             self._network.follow_touch(self._recent.last(SECOND_FRAMES))
 
         # Low and still; only the network may see a light touch that keeps still.
@@ -551,9 +550,9 @@ class TouchTracker:
 
     # What the pad shows.
 
-    @property
-    def _is_time_to_check(self) -> bool:
-        return self._index % CHECK_FRAMES == 0 and len(self._recent) == SECOND_FRAMES
+    def _is_time_to_check(self, first: int = 0) -> bool:
+        """In a touch, counted from its first frame, this is never a frame at which an answer is due."""
+        return (self._index - first) % CHECK_FRAMES == 0 and len(self._recent) == SECOND_FRAMES
 
     @property
     def _onset_counts(self) -> float:

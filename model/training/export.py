@@ -1,11 +1,13 @@
 """Export: a trained network and its temperatures into one ONNX file that takes raw counts."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import msgspec
 import onnx
 import torch
+from onnxscript import opset20 as op
+from onnxscript.onnx_types import FLOAT, INT64
 from torch import Tensor, nn
 
 from touchd.drivers.frame import COLUMNS, ROWS
@@ -40,7 +42,7 @@ class CalibratedTGC(nn.Module):
         """Return (B, classes) probabilities over all frames so far, and the next state."""
         logits, state = step(self.network, counts, state)
         place = torch.clamp(state.frames - 1, max=len(self.temperatures) - 1)
-        return torch.softmax(logits / self.temperatures.index_select(0, place), dim=-1), state
+        return torch.softmax(logits / self.temperatures[place], dim=-1), state
 
 
 class _Step(nn.Module):
@@ -82,6 +84,7 @@ def export(network: TGC, metadata: ModelMetadata, path: Path) -> None:
         _Step(calibrated).eval(),
         (torch.zeros(2, 144, ROWS, COLUMNS), *start._replace(memory=memory)),
         dynamo=True,
+        custom_translation_table={torch.ops.aten.index.Tensor: _gather},
         verbose=False,
         opset_version=OPSET,
         input_names=["counts", *names],
@@ -114,6 +117,12 @@ def export(network: TGC, metadata: ModelMetadata, path: Path) -> None:
     onnx.checker.check_model(proto)
     path.parent.mkdir(parents=True, exist_ok=True)
     onnx.save(proto, path)
+
+
+def _gather(x: FLOAT, indices: Sequence[INT64]) -> FLOAT:
+    """Export x[index] and x[:, index] as one Gather, where the exporter would write four nodes."""
+    gathered: FLOAT = op.Gather(x, indices[-1], axis=len(indices) - 1)
+    return gathered
 
 
 def _flat(state: TGCState) -> tuple[Tensor, ...]:

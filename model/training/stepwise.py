@@ -23,8 +23,8 @@ class TGCState(NamedTuple):
     B is the batch; a state of one touch, such as the initial one, may precede a whole batch of windows.
     level: (B, past, 8, 8) levels of the last frames that the stem sees. motion: (B, past, width) last
     inputs of the gated convolutions, one after another. memory: keys and values of each encoder block,
-    (B, 2 * heads, M, width / heads), M at most MEMORY_FRAMES. sums: (B, 1, 2 * width) float64, of each
-    feature and of its square. highest: (B, 1, width), each feature's maximum. frames: (1,) int64, their
+    (B, 2 * heads, M, width / heads), M at most MEMORY_FRAMES. sums: (B, 2 * width) float64, of each
+    feature and of its square. highest: (B, width), each feature's maximum. frames: (1,) int64, their
     number.
     """
 
@@ -45,8 +45,8 @@ def initial_state(network: TGC) -> TGCState:
         level=torch.zeros(1, network.stem.past, ROWS, COLUMNS),
         motion=torch.zeros(1, past, width),
         memory=(memory,) * network.settings.blocks,
-        sums=torch.zeros(1, 1, 2 * width, dtype=torch.float64),
-        highest=torch.full((1, 1, width), torch.finfo(torch.float32).min),
+        sums=torch.zeros(1, 2 * width, dtype=torch.float64),
+        highest=torch.full((1, width), torch.finfo(torch.float32).min),
         frames=torch.zeros(1, dtype=torch.int64),
     )
 
@@ -68,16 +68,14 @@ def step(network: TGC, counts: Tensor, state: TGCState) -> tuple[Tensor, TGCStat
         query, new = block.project_in(x)
         key_value = torch.cat([memory.expand(x.shape[0], -1, -1, -1), new], dim=2)
         x = block.attend(x, query, key_value)
-        length = key_value.shape[2]
-        kept = torch.sym_min(length, MEMORY_FRAMES)
-        memories.append(key_value.narrow(2, length - kept, kept))
+        memories.append(key_value[:, :, -MEMORY_FRAMES:])
     # In float64 one frame still changes sums over hours, and the variance computed from them is exact enough.
     exact = x.double()
-    sums = state.sums + torch.cat([exact, exact * exact], dim=-1).sum(dim=1, keepdim=True)
-    highest = torch.maximum(state.highest, x.amax(dim=1, keepdim=True))
+    sums = state.sums + torch.cat([exact, exact * exact], dim=-1).sum(dim=1)
+    highest = torch.maximum(state.highest, x.amax(dim=1))
     frames = state.frames + x.shape[1]
     mean, squares = (sums / frames.double()).chunk(2, dim=-1)
-    logits: Tensor = network.dense(network.summary(mean, squares - mean * mean, highest)[:, 0])
+    logits: Tensor = network.dense(network.summary(mean, squares - mean * mean, highest))
     seen = torch.cat([last, levels], dim=1)[:, -network.stem.past :]
     return logits, TGCState(seen, torch.cat(pasts, dim=1), tuple(memories), sums, highest, frames)
 
