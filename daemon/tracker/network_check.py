@@ -41,7 +41,7 @@ class NetworkCheck:
 
     def __init__(self, p_no_touch: PNoTouch | None) -> None:
         self._p_no_touch = p_no_touch
-        self._at_rest: float | None = None
+        self._at_rest = 0.0  # until the first answer
         self._answers: deque[float] = deque(maxlen=ANSWERS)
         # The last answer at rest that saw no touch, and the frames it was about.
         self._untouched: tuple[float, Window] | None = None
@@ -53,16 +53,16 @@ class NetworkCheck:
     @property
     def knows_rest(self) -> bool:
         """Whether the network recognises this pad at rest as untouched."""
-        return self._at_rest is not None and self._at_rest >= KNOWN_REST
+        return self._at_rest >= KNOWN_REST
 
     @property
     def knows_well(self) -> bool:
         """Whether the network knows this pad as well as those that it learned from."""
-        return self._at_rest is not None and self._at_rest >= WELL_KNOWN_REST
+        return self._at_rest >= WELL_KNOWN_REST
 
     def forget_rest(self) -> None:
         """Forget the answers at rest: it may be another pad."""
-        self._at_rest = self._untouched = None
+        self._at_rest, self._untouched = 0.0, None
         self._answers.clear()
 
     def forget_answers(self) -> None:
@@ -83,9 +83,8 @@ class NetworkCheck:
             answer = self._ask(frames)
             self._untouched = (answer, frames.copy()) if answer >= self._limit(NONE) else None
         self._answers.append(answer)
-        if self._at_rest is None:
-            self._at_rest = answer
-        self._at_rest += (answer - self._at_rest) * (RISES if answer > self._at_rest else FALLS)
+        at_rest = self._at_rest or answer
+        self._at_rest = at_rest + (answer - at_rest) * (RISES if answer > at_rest else FALLS)
         return self.knows_rest and len(self._answers) == ANSWERS and self._mean < self._limit(TOUCH)
 
     def _answered_before(self, frames: Window) -> float | None:
@@ -95,10 +94,8 @@ class NetworkCheck:
         answer, before = self._untouched
         newest = frames[-ASK_FRAMES:]
         change = np.abs(newest.mean(axis=0) - before.mean(axis=0)).sum()
-        is_same = (
-            change <= SAME_COUNTS and (newest.max(axis=0) <= before.max(axis=0) + SAME_PEAK_COUNTS).all()
-        )
-        return answer if is_same else None
+        is_no_higher = newest.max(axis=0) <= before.max(axis=0) + SAME_PEAK_COUNTS
+        return answer if change <= SAME_COUNTS and is_no_higher.all() else None
 
     def follow_touch(self, frames: Window) -> None:
         """Ask about the last second of a touch."""
@@ -118,6 +115,4 @@ class NetworkCheck:
         return 0.0 if self._p_no_touch is None else self._p_no_touch(frames.reshape(-1, ROWS, COLUMNS))
 
     def _limit(self, p_no_touch: float) -> float:
-        return (
-            min(p_no_touch, REST_SHARE * self._at_rest) if self._at_rest and self.knows_rest else p_no_touch
-        )
+        return min(p_no_touch, REST_SHARE * self._at_rest) if self.knows_rest else p_no_touch

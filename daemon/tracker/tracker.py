@@ -355,9 +355,8 @@ class TouchTracker:
         if self._index % ASK_FRAMES or quiet.frames < SECOND_FRAMES or not self._network.is_there:
             return None
         is_seen = self._network.begins_touch(self._recent.last(SECOND_FRAMES))
-        if not is_seen or self._settings.onset_threshold > ONSET_COUNTS:
-            return None
-        return self._begin(self._index - SECOND_FRAMES)
+        may_begin = is_seen and self._settings.onset_threshold <= ONSET_COUNTS
+        return self._begin(self._index - SECOND_FRAMES) if may_begin else None
 
     # Maybe.
 
@@ -538,8 +537,8 @@ class TouchTracker:
         self.baseline.track_sway(np.abs(newer - older))
         frames = self._recent.last(SECOND_FRAMES)
         smooth = _median(frames[2:], frames[1:-1], frames[:-2])
-        self._restless = 0.0
-        self._learn_restless(max(map(beyond_one_wire, self._above(smooth - self.baseline.counts))))
+        peak = max(map(beyond_one_wire, self._above(smooth - self.baseline.counts)))
+        self._restless = min(peak, MOST_RESTLESS)
         return release
 
     def _end(self, touch: Touched, reason: EndReason) -> Release:

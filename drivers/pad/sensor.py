@@ -53,7 +53,7 @@ class Sensor:
     without a byte the port is reopened, which restarts an Arduino that hangs; after frameless_s without a
     frame too, for another program may have set it differently. A frame's host_s is when its last byte was
     read.
-    frames_together: how many of the next frames may be read at once, of a pad with a clock.
+    frames_together: for how many frames' time the reader may rest after one, of a pad with a clock.
     parser: turns the port's bytes into frames; its counts may be read from any thread.
     """
 
@@ -68,7 +68,7 @@ class Sensor:
         self._is_shared = False
         self._silent_openings = 0
         # Set by the thread that takes the frames: asking it here would hold that thread up.
-        self.frames_together = 1
+        self.frames_together: float = 1
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="touchd-sensor", daemon=True)
 

@@ -211,6 +211,16 @@ def test_frames_may_wait_unless_an_answer_is_due() -> None:
     assert bench.pipeline.frames_together == 8
 
 
+def test_the_frame_before_an_answer_is_read_half_a_frame_late() -> None:
+    bench, late = Bench(), list[int]()
+    for length in range(1, 160):
+        bench.feel(palm(1 / 54))
+        if bench.pipeline.frames_together == 1.5:
+            late.append(length)
+    # The reader sees it a frame later, and then rests once.
+    assert late == [51, 78, 141]
+
+
 def test_fewer_frames_wait_where_an_answer_comes_as_soon_as_it_is_sure() -> None:
     bench = Bench(decision=DecisionSettings(early="when_sure"))
     assert bench.pipeline.frames_together == 4
