@@ -60,7 +60,7 @@ SHOWN_STRIDE_FRAMES = 3
 FEED_FRAMES = 9
 # For how many frames a reader rests while no answer is due, and while nothing touches the pad: a wake-up with
 # cold caches costs more than a frame. The frame before an answer is read half a frame late, so that caches
-# are warm when the next comes: without that, an answer takes a fifth longer.
+# are warm when the next comes: without that, an answer takes a tenth longer.
 TOGETHER_FRAMES, QUIET_TOGETHER_FRAMES = 4, 8
 LATE_FRAMES, LATE_BEFORE = 1.5, 3
 
