@@ -158,7 +158,7 @@ class Pipeline:
         """For how many frames' time the reader may rest; a change after the final answer may wait."""
         # As many may wait in the queue as are coming.
         touch, soon = self._touch, 2 * TOGETHER_FRAMES
-        if not self._tracker.is_settled(soon):
+        if not self._tracker.is_settled(soon) or (touch is not None and touch.waits_until_sure):
             return 1
         if touch is None:
             return TOGETHER_FRAMES if self._decision_settings.early == "when_sure" else QUIET_TOGETHER_FRAMES
@@ -167,9 +167,10 @@ class Pipeline:
         # The hand may have left, and the answer to that comes soon.
         ahead = (touch.due[0][0] - touch.length, AFTER_FRAMES - touch.off_frames)
         frames = min((each for each in ahead if each >= 0), default=0)
-        if frames > soon and not touch.waits_until_sure:
+        if frames > soon:
             return TOGETHER_FRAMES
-        return LATE_FRAMES if frames == LATE_BEFORE else 1
+        # At another rate, an answer may already be due in the frame that is read late.
+        return LATE_FRAMES if frames == LATE_BEFORE and self._ring.is_in_step else 1
 
     def on_frame(self, frame: Frame) -> None:
         laid = self._ring.push(frame)

@@ -50,7 +50,7 @@ class GridFrame(msgspec.Struct, frozen=True, eq=False):
 
 
 class Ring:
-    """The last `capacity` grid frames; bounded, whatever comes in."""
+    """The last `capacity` grid frames. is_in_step: whether each frame of the pad becomes one of them."""
 
     def __init__(self, capacity: int, first_index: int = 0) -> None:
         self._history: deque[GridFrame] = deque(maxlen=capacity)
@@ -60,7 +60,7 @@ class Ring:
         self._pressure = np.zeros((ROWS, COLUMNS), np.float32)
         self._grid_ms = 0.0
         self._phase_ms = 0.0
-        self._in_step = IN_STEP_FRAMES
+        self._in_step, self.is_in_step = IN_STEP_FRAMES, False
         self._late: Frame | None = None
         self._vibration = Vibration()
 
@@ -87,12 +87,11 @@ class Ring:
         if elapsed_ms > MAX_GAP_MS:
             return [self._restart(frame, pressure)]
         now_ms = self._clock_ms + elapsed_ms
-        was_in_step = self._in_step >= IN_STEP_FRAMES
         self._follow_phase(now_ms)
-        if was_in_step and self._in_step >= IN_STEP_FRAMES:
-            due_ms = [*self._times_until(now_ms - PERIOD_MS / 2), float(now_ms)]
-        else:
-            due_ms = self._times_until(now_ms)
+        self.is_in_step = self._in_step > IN_STEP_FRAMES
+        due_ms = self._times_until(now_ms - PERIOD_MS / 2 if self.is_in_step else now_ms)
+        if self.is_in_step:
+            due_ms.append(float(now_ms))
         frames = [self._between(frame, pressure, now_ms, at_ms) for at_ms in due_ms]
         self._sensor_ms, self._clock_ms, self._pressure = frame.sensor_ms, now_ms, pressure
         return frames

@@ -32,9 +32,12 @@ EARLY, REVISED, FINAL = ("early", 54), ("revised", 81), ("final", 144)
 
 
 class Bench:
-    """A pipeline fed by a made pad at 54 Hz, and its events."""
+    """A pipeline fed by a made pad at `rate_hz`, and its events."""
 
-    def __init__(self, model: Scripted | Classifier | None = None, **settings: Any) -> None:
+    def __init__(
+        self, model: Scripted | Classifier | None = None, *, rate_hz: float = 54.0, **settings: Any
+    ) -> None:
+        self.rate_hz = rate_hz
         self.model = model or Scripted()
         self.emitted: list[Event] = []
         self.now_s = STOPPED.monotonic_s()
@@ -53,7 +56,7 @@ class Bench:
                 frame = Frame(round(self.clock_ms), self.now_s - 0.002, counts)
                 self.pipeline.on_frame(frame)
             self.sent.append(counts)
-            self.clock_ms += 1000 / 54
+            self.clock_ms += 1000 / self.rate_hz
         return self.emitted[before:]
 
     def check_windows(self, *lengths: int) -> None:
@@ -219,6 +222,29 @@ def test_the_frame_before_an_answer_is_read_half_a_frame_late() -> None:
             late.append(length)
     # The reader sees it a frame later, and then rests once.
     assert late == [51, 78, 141]
+
+
+@pytest.mark.parametrize("rate_hz", [20, 40, 45, 50, 60, 75, 100, 200, 500])
+def test_no_frame_is_read_late_from_a_pad_at_another_rate(rate_hz: float) -> None:
+    # Its frames keep no step with the model's: the late one may be the one that an answer waits for.
+    bench, late = Bench(rate_hz=rate_hz), list[float]()
+    bench.feel(nothing(rate_hz / 54))
+    for _ in range(round(3 * rate_hz)):
+        bench.feel(palm(1 / 54))
+        if 1 < bench.pipeline.frames_together < 2:
+            late.append(bench.clock_ms)
+    assert answered(bench.emitted) == [EARLY, REVISED, FINAL]
+    assert not late
+
+
+def test_no_frame_is_read_late_until_an_early_answer_is_sure() -> None:
+    bench, late = Bench(decision=DecisionSettings(early="when_sure", speak_above=0.99)), list[int]()
+    for length in range(1, 54):
+        bench.feel(palm(1 / 54))
+        if 1 < bench.pipeline.frames_together < 2:
+            late.append(length)
+    assert not answered(bench.emitted)
+    assert not late
 
 
 def test_fewer_frames_wait_where_an_answer_comes_as_soon_as_it_is_sure() -> None:
