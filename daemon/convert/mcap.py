@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 from mcap.writer import Writer
 
+from touchd.daemon.bridges.bridge import kind_of
 from touchd.daemon.events import Event, RobotEvent, encode, epoch_s
 from touchd.drivers.frame import COLUMNS, ROWS, Counts
 from touchd.drivers.recording import Recording, realign, set_up
@@ -50,9 +51,7 @@ def write_events(events: Iterable[Event], file: IO[bytes]) -> None:
             # Not every reader follows references, so write the definition itself.
             schema = msgspec.json.schema(type(event))["$defs"][name]
             time_ns = round(epoch_s(event.time) * 1e9)
-            add(
-                f"/touchd{of}/{event.__struct_config__.tag}", f"touchd.{name}", schema, time_ns, encode(event)
-            )
+            add(f"/touchd{of}/{kind_of(event)}", f"touchd.{name}", schema, time_ns, encode(event))
 
 
 def write_recordings(recordings: Sequence[Recording], file: IO[bytes]) -> None:

@@ -96,7 +96,8 @@ def ask_grid(console: Console, opened: Line) -> Grid | None:
             if not typed:
                 break
         if grid not in (None, refused) and not any(placements(chunks, grid)):
-            console.print(f"{seen.frame} do not fit {grid[0]}x{grid[1]} cells", style="yellow")
+            why = f"{seen.frame} do not fit {grid[0]}x{grid[1]} cells; to take it anyway, type it again"
+            console.print(why, style="yellow")
             grid, refused = None, grid
     # What came while the person typed is not complete.
     forget_waiting(opened)
