@@ -156,12 +156,12 @@ class Pipeline:
     @property
     def frames_together(self) -> float:
         """For how many frames' time the reader may rest; a change after the final answer may wait."""
-        # As many may wait in the queue as are coming.
-        touch, soon = self._touch, 2 * TOGETHER_FRAMES
+        touch, soon = self._touch, 2 * TOGETHER_FRAMES  # as many may wait in the queue as are coming
         if not self._tracker.is_settled(soon) or (touch is not None and touch.waits_until_sure):
             return 1
         if touch is None:
-            return TOGETHER_FRAMES if self._decision_settings.early == "when_sure" else QUIET_TOGETHER_FRAMES
+            most = TOGETHER_FRAMES if self._decision_settings.early == "when_sure" else QUIET_TOGETHER_FRAMES
+            return min(most, 1 + self._decision_settings.answer_at_frames[0] // 4)
         if not touch.due:
             return TOGETHER_FRAMES
         # The hand may have left, and the answer to that comes soon.

@@ -252,6 +252,13 @@ def test_fewer_frames_wait_where_an_answer_comes_as_soon_as_it_is_sure() -> None
     assert bench.pipeline.frames_together == 4
 
 
+@pytest.mark.parametrize(("first", "together"), [(1, 1), (5, 2), (9, 3), (16, 5), (28, 8), (54, 8)])
+def test_fewer_frames_wait_where_the_first_answer_is_due_soon(first: int, together: int) -> None:
+    # A touch is noticed after two such waits; with eight frames each, an answer at five came 0.14 s late.
+    bench = Bench(decision=DecisionSettings(answer_at_frames=(first, 81, 144)))
+    assert bench.pipeline.frames_together == together
+
+
 def test_frames_do_not_wait_when_the_hand_may_just_have_left() -> None:
     bench, since_lifted = Bench(), list[bool]()
     bench.feel(palm(0.3))
