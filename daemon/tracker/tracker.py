@@ -550,7 +550,7 @@ class TouchTracker:
     # What the pad shows.
 
     def _is_time_to_check(self, first: int = 0) -> bool:
-        """In a touch, counted from its first frame, this is never a frame at which an answer is due."""
+        """In a touch, counted from its first frame, no answer is due then, unless the marks were moved."""
         return (self._index - first) % CHECK_FRAMES == 0 and len(self._recent) == SECOND_FRAMES
 
     @property
