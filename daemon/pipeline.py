@@ -62,7 +62,7 @@ FEED_FRAMES = 9
 # cold caches costs more than a frame. The frame before an answer is read half a frame late, so that caches
 # are warm when the next comes: without that, an answer takes a tenth longer.
 TOGETHER_FRAMES, QUIET_TOGETHER_FRAMES = 4, 8
-LATE_FRAMES, LATE_BEFORE = 1.5, 3
+LATE_FRAMES, LATE_BEFORE = 1.5, 3  # set three frames before an answer, as the reader sees it one later
 
 Viewers: TypeAlias = Callable[[], Sequence[Callable[[LivePrediction], None]]]
 

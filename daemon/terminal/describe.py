@@ -22,7 +22,7 @@ ENDINGS: Mapping[EndReason, str] = {
     "longest": ", longer than a touch may last",
     "sensor": ", the pad went down",
     "settled": ", taken for the pad's new rest",
-    "stopped": ", the reading stopped",
+    "stopped": ", reading stopped",
 }
 
 

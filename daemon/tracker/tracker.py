@@ -537,8 +537,8 @@ class TouchTracker:
         self.baseline.track_sway(np.abs(newer - older))
         frames = self._recent.last(SECOND_FRAMES)
         smooth = _median(frames[2:], frames[1:-1], frames[:-2])
-        peak = max(map(beyond_one_wire, self._above(smooth - self.baseline.counts)))
-        self._restless = min(peak, MOST_RESTLESS)
+        self._restless = 0.0
+        self._learn_restless(max(map(beyond_one_wire, self._above(smooth - self.baseline.counts))))
         return release
 
     def _end(self, touch: Touched, reason: EndReason) -> Release:

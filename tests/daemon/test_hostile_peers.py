@@ -33,7 +33,7 @@ from touchd.drivers.robot.session import RobotSettings
 
 # What a bridge's own process may take, and what the daemon itself may.
 MOST_GROWTH_MB = MOST_MB + 8.0
-# The log's limit begins anew once during a minute's attack.
+# The log is limited by the minute, and an attack of a minute spans two.
 MOST_LOG_LINES = 2 * MOST_LINES + 20
 SETTLING_S = 0.7
 # A separate DDS domain, unlike a lab's.
