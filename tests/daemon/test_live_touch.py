@@ -85,7 +85,7 @@ FOLLOW_ROUTE = """
     if (place !== null) tell(down === null ? 'pointerdown' : 'pointermove', place);
     else if (down !== null) tell('pointerup', down);
     down = place;
-    if (performance.now() - begun < places.length * stepMs) return;
+    if (place !== null || performance.now() - begun < places.length * stepMs) return;
     clearInterval(moving);
     done();
   }, 5);
