@@ -222,10 +222,9 @@ class TouchTracker:
         self._recent = LastSecond()
         self._state: State = MeasuringRest()
         self._brief = Brief()
-        # The untouched pad's recent peak contact.
-        self._restless = 0.0
-        self._index = -1
-        self._sensor_ms = 0.0
+        # The untouched pad's recent peak contact, and what it was before the contact that goes on.
+        self._restless = self._restless_before = 0.0
+        self._index, self._sensor_ms = -1, 0.0
 
     def is_settled(self, frames: int) -> bool:
         """Whether no touch ends by quiet within that many frames, and none may just have begun."""
@@ -323,6 +322,7 @@ class TouchTracker:
             self._state = Maybe(quiet, self._index, self._index, smooth)
             return self._weigh(self._state)
         self._restless *= RESTLESS_KEPT
+        self._restless_before = self._restless_before if contact else self._restless
         self._learn_restless(contact)
         quiet.peak = max(quiet.peak, min(contact, MOST_RESTLESS))
         if quiet.frames == LEAVING_FRAMES:
@@ -427,6 +427,7 @@ class TouchTracker:
         """Begin a touch; last: its last frame with contact, if that is not the current one."""
         self._network.forget_answers()
         self._brief = Brief()
+        self._restless = min(self._restless, self._restless_before)
         self._state = Touched(first, self._index if last is None else last)
         return Onset(first)
 
@@ -533,8 +534,7 @@ class TouchTracker:
             self._network.forget_rest()
         release = self._end(touch, reason)
         self._calibrate(Quiet(self._index), SECOND_FRAMES)
-        older, newer = self._recent.halves()
-        self.baseline.track_sway(np.abs(newer - older))
+        self.baseline.track_sway(np.abs(np.subtract(*self._recent.halves())))
         frames = self._recent.last(SECOND_FRAMES)
         smooth = _median(frames[2:], frames[1:-1], frames[:-2])
         self._restless = 0.0

@@ -239,6 +239,14 @@ def test_light_touches_after_a_slow_hug_are_detected(pad: TrackedPad) -> None:
     pad.touched(palm(1.0), 2.0)
 
 
+def test_a_hand_that_comes_slowly_does_not_hide_the_next_touch(pad: TrackedPad) -> None:
+    rising = np.linspace(0, 12, 72, dtype=np.float32)[:, None, None]
+    pad.touched(at(nothing(72 / 54), slice(2, 5), slice(3, 6), rising), 1.2)
+    began = pad.index
+    assert isinstance(light := pad.feel(palm(0.8, counts=4.0))[0], Onset)
+    assert abs(light.first_index - began) <= 5
+
+
 def test_a_leaving_hand_is_not_learned_as_noise(pad: TrackedPad) -> None:
     pad.touched(palm(1.0, counts=200.0), 3.0)
     assert pad.tracker.baseline.noise_floor.mean() < 1.8
