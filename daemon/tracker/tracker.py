@@ -222,7 +222,7 @@ class TouchTracker:
         self._recent = LastSecond()
         self._state: State = MeasuringRest()
         self._brief = Brief()
-        # The untouched pad's recent peak contact, and what it was before the contact that goes on.
+        # The untouched pad's recent peak contact; the same before the present contact, which may be a hand's.
         self._restless = self._restless_before = 0.0
         self._index, self._sensor_ms = -1, 0.0
 
