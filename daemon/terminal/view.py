@@ -1,6 +1,7 @@
 """The terminal view: pad, answer, time line, probabilities, and the robot's words."""
 
 import logging
+import textwrap
 import threading
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
@@ -55,6 +56,8 @@ LOW, HIGH = 18, 33
 FEWEST_BARS = 7
 LARGEST_SCALE = 8
 GAP = 2
+# A message may hold a command to copy, which a single row would cut off.
+NOTE_ROWS = 3
 
 
 class ShownTouch(ReportedTouch):
@@ -228,7 +231,8 @@ class View:
 
     def _draw(self, width: int, height: int) -> list[DrawnLine]:
         keys = self._keys_lines(width) if height >= LOWEST else []
-        body = height - 3 - len(keys)
+        notes = self._note_lines(width - 2, max(1, min(height // 8, NOTE_ROWS)))
+        body = height - 2 - len(keys) - len(notes)
         card_height = len(self._card) + 1 if self._card and body - len(self._card) >= HIGH - 16 else 0
         scale = min((width * 9 // 20) // COLUMNS, (body - 1 - card_height) // 4, LARGEST_SCALE)
         with_pad = width >= NARROWEST and height >= LOWEST and scale >= 2
@@ -242,7 +246,7 @@ class View:
             left = [[margin, *line, *[margin] * GAP] for line in pad]
         right = self._fit(self._right(right_width, body), right_width, body)
         lines = [[*one, *other] for one, other in zip(left, right, strict=True)]
-        return [self._header(width), *lines, *keys, self._robot_line(), self._note_line()]
+        return [self._header(width), *lines, *keys, self._robot_line(), *notes]
 
     def _fit(self, lines: list[DrawnLine], width: int, height: int) -> list[DrawnLine]:
         """Return lines cropped or padded to a width and a height."""
@@ -418,12 +422,17 @@ class View:
             lines[-1] += [*entry, Segment(" ", style)]
         return lines if touch else [[] for _ in lines]
 
-    def _note_line(self) -> DrawnLine:
-        line: DrawnLine = [Segment(f" {self._doing} ", self._palette.ink)] if self._doing else []
-        if self._notes:
-            text, is_bad = self._notes[-1]
-            line.append(Segment(f" {text}", self._palette.bad if is_bad else self._palette.faint))
-        return line
+    def _note_lines(self, width: int, most: int) -> list[DrawnLine]:
+        """Return what is going on and the latest note, in at most so many lines."""
+        doing = f" {self._doing} " if self._doing else ""
+        text, is_bad = self._notes[-1] if self._notes else ("", False)
+        wrap = textwrap.TextWrapper(width, max_lines=most, placeholder=" …", break_on_hyphens=False)
+        rows = wrap.wrap(" " * len(doing) + text) or [""]
+        rows[0] = rows[0][len(doing) :]
+        style = self._palette.bad if is_bad else self._palette.faint
+        lines: list[DrawnLine] = [[Segment(f" {row}", style)] for row in rows]
+        lines[0].insert(0, Segment(doing, self._palette.ink))
+        return lines
 
     def _name_labels(self, labels: Iterable[str]) -> None:
         self._labels = {label: name_of(self._words, label) for label in labels}

@@ -204,6 +204,19 @@ def test_every_key_that_labels_a_touch_is_shown(size: tuple[int, int], language:
     assert "touch 7 was: " in shown[-1]
 
 
+@pytest.mark.parametrize("doing", ["", "the simulated hand: pat"])
+def test_a_command_to_copy_is_shown_whole(doing: str) -> None:
+    view, console = view_of(80, 24)
+    view.doing(doing)
+    command = "/opt/touchd/bin/touchd train --keep-all --extra /var/lib/touchd/events.jsonl.touches"
+    view.note(f"10 touches labelled; to learn from them: {command}")
+    shown = screen(view, console)
+    assert [len(line) for line in shown] == [80] * 24
+    last = " ".join(" ".join(shown[-3:]).split())
+    assert last.endswith(command)
+    assert doing in last
+
+
 def test_resizing_and_ending_leave_the_terminal_clean() -> None:
     master, slave = pty.openpty()
     screen = pyte.Screen(80, 24)
