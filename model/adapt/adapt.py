@@ -1,7 +1,7 @@
 """Adapts the shipped network to a lab's recordings, with held-out accuracy before and after."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -68,7 +68,8 @@ class Pretrained:
 class Adapted:
     """A fine-tuned head and its cross-validation.
 
-    known: labels of the pretrained network. unlabelled: number of touches in the folder that nobody labelled.
+    known: labels of the pretrained network. passed_over: how many saved touches were not learnt from, by the
+    reason.
     """
 
     known: tuple[str, ...]
@@ -77,7 +78,7 @@ class Adapted:
     head: nn.Sequential
     temperatures: dict[int, float]
     comparison: Comparison
-    unlabelled: int = 0
+    passed_over: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,8 @@
 
 import hashlib
 import re
-from collections.abc import Collection, Sequence
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -31,6 +32,8 @@ MOST_GESTURES = MOST_LABELS
 GESTURE = re.compile(rf"[A-Za-z0-9][A-Za-z0-9_-]{{0,{LONGEST_LABEL - 1}}}")
 # Reserved: events use it in place of a gesture.
 RESERVED = "uncertain"
+# Why a saved touch is passed over.
+NO_LABEL, CUT_SHORT = "without a label", "cut short by a gap, another touch or touchd's end"
 
 
 class ExtraError(TouchdError):
@@ -38,10 +41,10 @@ class ExtraError(TouchdError):
 
 
 class Read(NamedTuple):
-    """What a folder holds. unlabelled: number of saved touches without a label, which are passed over."""
+    """What a folder holds. passed_over: how many saved touches are not learnt from, by the reason."""
 
     recordings: list[Recording]
-    unlabelled: int
+    passed_over: Mapping[str, int]
 
 
 def read_folder(folder: Path, known: Sequence[str], keep_all: bool = False) -> list[Recording]:
@@ -59,16 +62,19 @@ def read_all(folder: Path, known: Sequence[str], keep_all: bool = False) -> Read
     """
     recordings: list[Recording] = []
     first_of: dict[bytes, Path] = {}
-    frames = unlabelled = 0
+    frames = 0
+    passed_over: Counter[str] = Counter()
     files = files_of(folder)
     if not files:
         raise ExtraError(f"{folder}: holds no recordings; make some with `touchd record {folder}`")
     for path in files:
         parts = [realign(part) for part in read_file(path)]
         if any(part.gesture == UNLABELLED for part in parts):
-            unlabelled += 1
+            passed_over[NO_LABEL] += 1
             continue
-        for recording in joined(parts):
+        found = joined(parts)
+        passed_over[CUT_SHORT] += not found
+        for recording in found:
             frames += len(recording.counts)
             if frames > MOST_FRAMES:
                 raise ExtraError(f"{folder}: more than {MOST_FRAMES} frames; name a folder with fewer")
@@ -79,13 +85,13 @@ def read_all(folder: Path, known: Sequence[str], keep_all: bool = False) -> Read
                 raise ExtraError(f"{path}: the same recording as in {first_of[digest]}; delete one of them")
             first_of[digest] = path
             recordings.append(recording)
-    if not recordings and unlabelled:
+    if not recordings and passed_over[NO_LABEL]:
         raise ExtraError(
             f"{folder}: nobody has said what its touches were; do, with `touchd run --view` or "
             "`touchd record --from-journal`"
         )
     _check_gestures(folder, {recording.gesture for recording in recordings}, known, keep_all)
-    return Read(_as_known(_by_the_only_one(recordings)), unlabelled)
+    return Read(_as_known(_by_the_only_one(recordings)), +passed_over)
 
 
 def _by_the_only_one(recordings: Sequence[Recording]) -> list[Recording]:

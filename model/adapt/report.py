@@ -39,8 +39,8 @@ def report_lines(adapted: Adapted, names: Mapping[str, str] = NO_NAMES) -> Itera
     )
     if new:
         yield f"New to the model: {_listed(sorted(new), names)}"
-    if adapted.unlabelled:
-        yield f"Passed over: {_count(adapted.unlabelled, 'saved touch', 'es')} without a label"
+    for reason, number in adapted.passed_over.items():
+        yield f"Passed over: {_count(number, 'saved touch', 'es')} {reason}"
     comparison = adapted.comparison
     yield ""
     yield from textwrap.wrap(MEASURED[comparison.left_out], WIDTH)

@@ -31,11 +31,11 @@ def adapt_folder(extra: Path, output: Path, settings: AdaptSettings, keep_all: b
     """
     check_output(output)
     pretrained = Pretrained.shipped()
-    recordings, unlabelled = read_all(extra, pretrained.labels, keep_all)
+    recordings, passed_over = read_all(extra, pretrained.labels, keep_all)
     # One thread makes sums reproducible; a head is too small for more.
     with one_torch_thread():
         adapted = adapt(pretrained, prepare(pretrained, recordings, settings), settings, keep_all)
-    adapted = replace(adapted, unlabelled=unlabelled)
+    adapted = replace(adapted, passed_over=passed_over)
     write(pretrained, adapted, output, settings)
     return adapted
 

@@ -572,7 +572,7 @@ def test_a_short_touch_without_rest_after_it_is_passed_over(tmp_path: Path, afte
     assert sorted(each.gesture for each in read_folder(lab, ())) == ["pat", "rub"]
 
 
-def test_saved_touches_without_a_label_are_passed_over(
+def test_train_counts_the_saved_touches_that_it_passes_over(
     pretrained: Pretrained,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -583,10 +583,12 @@ def test_saved_touches_without_a_label_are_passed_over(
     before, touch, after = passing("rub", 30, 5)
     nobody = [before, replace(touch, gesture="unlabelled"), after]
     names = [("pat", 12, 0), ("stroke", 40, 1), ("pat", 15, 2), ("stroke", 30, 3)]
-    lab = saved(tmp_path / "lab", [*(passing(*name) for name in names), nobody])
+    cut_short = passing("pat", 20, 4, after=0)
+    lab = saved(tmp_path / "lab", [*(passing(*name) for name in names), nobody, cut_short])
     assert cli.main(["train", "--extra", str(lab), "--output", str(tmp_path / "a.onnx"), "--keep-all"]) == 0
     said = capsys.readouterr().out
     assert "Passed over: 1 saved touch without a label" in said
+    assert "Passed over: 1 saved touch cut short" in said
     assert "Touches in passing, answered once the hand has gone" in said
     assert "4 recordings of 2 gestures by 1 participant" in said
     assert Classifier.load(tmp_path / "a.onnx").labels == pretrained.labels
