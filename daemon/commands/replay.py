@@ -20,8 +20,8 @@ from touchd.drivers.pad.format import PRESETS
 def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="touchd replay",
-        description="Plays recordings through a fake serial port, with notouch before, between and after, "
-        "as soon as it is opened: touchd run --port PATH",
+        description="Prints the path of a fake serial port, and plays recordings through it as soon as it is "
+        "opened (touchd run --port PATH), with notouch before, between and after.",
     )
     add_arguments(parser)
     parser.add_argument("--speed", type=_speed, default=1.0, metavar="1|N|max", help="1 is the pad's own")

@@ -29,8 +29,8 @@ NAME = re.compile(re.escape(ADDRESS.replace("\0", "@").format(pid="")) + r"(\d+)
 def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="touchd tag",
-        description="Puts tags into every event from now on, of the touchd that runs on this computer, until "
-        "it ends. Prints the tags that then hold.",
+        description="Puts tags into every event of the touchd that runs on this computer, until it ends. "
+        "Prints the tags that then hold.",
     )
     parser.add_argument(
         "tags",

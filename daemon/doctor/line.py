@@ -111,7 +111,9 @@ def check_format(chunks: Sequence[Chunk], sensor: SensorSettings) -> Iterator[Ch
     described = sensor.described
     proposed = search(chunks, (described.rows, described.columns)).proposed
     if proposed is not None and _grid(proposed) != _grid(described):
-        found = f"the bytes look like {as_yaml(proposed)}, not like {described}"
+        upside_down = described.invert != proposed.invert
+        own = f" with invert: {str(described.invert).lower()}" if upside_down else ""
+        found = f"the bytes look like {as_yaml(proposed)}, not like {described}{own}"
         yield Check("format", "warning", found, _advice_to_set(proposed, sensor))
 
 

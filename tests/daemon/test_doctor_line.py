@@ -56,6 +56,13 @@ def test_settings_against_the_proven_format_are_named() -> None:
     assert check.advice == "set under sensor: format: csv; delete rows, columns, crop there"
 
 
+def test_a_pad_read_upside_down_is_named_as_such(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(line, "search", lambda *_: Finding(PRESETS["fabric-grid"], "", "binary"))
+    (check,) = line.check_format([], SensorSettings(invert=False))
+    assert check.found.endswith("like format: fabric-grid, not like fabric-grid 10x10 with invert: false")
+    assert check.advice == "set under sensor: format: fabric-grid; delete invert there"
+
+
 def test_cropping_a_small_pad_is_a_warning() -> None:
     check = protocol_of(pad_of(resting(60.0), as_8x8), SensorSettings(rows=8, columns=8))
     assert check.verdict == "warning"
