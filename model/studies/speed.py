@@ -253,7 +253,7 @@ def draw(measured: Measured, path: Path) -> None:
         axes.plot(*zip(*line, strict=True), "o-", color=colour, markersize=4)
         above = network in (PAPERS["printed"], f"Hughes, {CNN}") or (is_ours and network != shipped)
         axes.annotate(
-            f"{network} (ships)" if network == shipped else network,
+            network,
             line[0] if above else line[-1],
             xytext=(0, 6) if above else (0, -14) if is_papers else (8, -3),
             textcoords="offset points",
