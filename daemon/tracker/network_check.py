@@ -15,8 +15,7 @@ Question = Callable[[Window, Window], float]
 """The same, of a pad that rests at (64,) counts."""
 
 # The network is asked three times a second; three answers together begin or end a touch.
-ASK_FRAMES = 18
-ANSWERS = 3
+ASK_FRAMES, ANSWERS = 18, 3
 # Mean p_no_touch below which they begin a touch, and above which they end one. At 0.15, a jolt of the
 # breathing robot begins one.
 TOUCH, NONE = 0.12, 0.5
@@ -24,10 +23,10 @@ TOUCH, NONE = 0.12, 0.5
 DOUBT = 0.2
 # On a pad unlike those it learned from, as under mains hum, p_no_touch is lower at rest. The limits are then
 # this share of it. Below the second constant, the network does not know the pad at rest and is ignored.
-REST_SHARE = 0.6
-KNOWN_REST = 0.2
-# Above this, it knows the pad as well as HAART's and the robot's, whose p_no_touch at rest is 0.8 to 0.9.
-WELL_KNOWN_REST = 0.7
+REST_SHARE, KNOWN_REST = 0.6, 0.2
+# Above this, after so many answers at rest, it knows the pad as well as HAART's and the robot's, whose
+# p_no_touch at rest is 0.8 to 0.9. A firm pad's first answers may be as high.
+WELL_KNOWN_REST, WELL_KNOWN_ANSWERS = 0.7, 4
 # Shares by which p_no_touch at rest follows higher and lower answers: more slowly down, since they may come
 # from an unnoticed touch.
 RISES, FALLS = 0.1, 0.05
@@ -41,7 +40,7 @@ class NetworkCheck:
 
     def __init__(self, p_no_touch: PNoTouch | None) -> None:
         self._p_no_touch = p_no_touch
-        self._at_rest = 0.0  # until the first answer
+        self._at_rest, self._answers_at_rest = 0.0, 0
         self._answers: deque[float] = deque(maxlen=ANSWERS)
         # The last answer at rest that saw no touch, and the frames it was about.
         self._untouched: tuple[float, Window] | None = None
@@ -58,11 +57,11 @@ class NetworkCheck:
     @property
     def knows_well(self) -> bool:
         """Whether the network knows this pad as well as those that it learned from."""
-        return self._at_rest >= WELL_KNOWN_REST
+        return self._at_rest >= WELL_KNOWN_REST and self._answers_at_rest >= WELL_KNOWN_ANSWERS
 
     def forget_rest(self) -> None:
         """Forget the answers at rest: it may be another pad."""
-        self._at_rest, self._untouched = 0.0, None
+        self._at_rest, self._answers_at_rest, self._untouched = 0.0, 0, None
         self._answers.clear()
 
     def forget_answers(self) -> None:
@@ -83,6 +82,7 @@ class NetworkCheck:
             answer = self._ask(frames)
             self._untouched = (answer, frames.copy()) if answer >= self._limit(NONE) else None
         self._answers.append(answer)
+        self._answers_at_rest += 1
         at_rest = self._at_rest or answer
         self._at_rest = at_rest + (answer - at_rest) * (RISES if answer > at_rest else FALLS)
         return self.knows_rest and len(self._answers) == ANSWERS and self._mean < self._limit(TOUCH)

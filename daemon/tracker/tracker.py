@@ -352,7 +352,7 @@ class TouchTracker:
 
     def _ask_at_rest(self, quiet: Quiet) -> Onset | None:
         """Ask the network about a pad without contact: in some touches no taxel is above the noise."""
-        if self._index % ASK_FRAMES or quiet.frames < SECOND_FRAMES or not self._network.is_there:
+        if self._index % ASK_FRAMES or quiet.frames < CALIBRATION_FRAMES or not self._network.is_there:
             return None
         is_seen = self._network.begins_touch(self._recent.last(SECOND_FRAMES))
         may_begin = is_seen and self._settings.onset_threshold <= ONSET_COUNTS

@@ -626,6 +626,16 @@ def test_a_light_tap_of_the_whole_hand_is_a_touch_once_it_has_gone() -> None:
     assert abs(release.last_index - (began + 5)) <= 2
 
 
+def test_a_light_tap_is_felt_although_hands_have_hardly_left_the_pad_since_the_start() -> None:
+    pad = TrackedPad(p_no_touch=sees_what_varies)
+    pad.feel(0.6)
+    for _ in range(3):
+        pad.touched(palm(0.5), 1.6)
+    began = pad.index
+    onset, _ = pad.touched(np.full((6, 8, 8), 4.0, np.float32), 2.0)
+    assert abs(onset.first_index - began) <= 2
+
+
 def test_a_wobble_that_the_network_takes_for_none_is_no_touch() -> None:
     pad = TrackedPad(p_no_touch=lambda window: 0.9)
     assert pad.feel(3.0, np.full((6, 8, 8), 4.0, np.float32), 2.0) == []

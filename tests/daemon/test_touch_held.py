@@ -93,9 +93,9 @@ def test_the_last_contact_of_a_touch_is_known_while_it_pauses(pad: TrackedPad) -
 
 def test_the_network_is_not_asked_in_the_first_second_of_rest(network: Network) -> None:
     pad = TrackedPad(p_no_touch=network)
-    pad.feel(nothing(62 / 54))
+    pad.feel(nothing(1.0))
     assert network.windows == []
-    pad.feel(1.0)
+    pad.feel(0.5)
     assert network.windows != []
 
 
