@@ -423,7 +423,7 @@ class View:
         return lines if touch else [[] for _ in lines]
 
     def _note_lines(self, width: int, most: int) -> list[DrawnLine]:
-        """Return what is going on and the latest note, in at most so many lines."""
+        """Return what is going on and the latest note, wrapped to `width` and cut after `most` rows."""
         doing = f" {self._doing} " if self._doing else ""
         text, is_bad = self._notes[-1] if self._notes else ("", False)
         wrap = textwrap.TextWrapper(width, max_lines=most, placeholder=" …", break_on_hyphens=False)

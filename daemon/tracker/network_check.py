@@ -24,8 +24,8 @@ DOUBT = 0.2
 # On a pad unlike those it learned from, as under mains hum, p_no_touch is lower at rest. The limits are then
 # this share of it. Below the second constant, the network does not know the pad at rest and is ignored.
 REST_SHARE, KNOWN_REST = 0.6, 0.2
-# Above this, after so many answers at rest, it knows the pad as well as HAART's and the robot's, whose
-# p_no_touch at rest is 0.8 to 0.9. A firm pad's first answers may be as high.
+# The network knows a pad well if p_no_touch at rest is at least the first constant and follows from at least
+# the second number of answers. HAART's and the robot's is 0.8 to 0.9; a firm pad's first answers may be too.
 WELL_KNOWN_REST, WELL_KNOWN_ANSWERS = 0.7, 4
 # Shares by which p_no_touch at rest follows higher and lower answers: more slowly down, since they may come
 # from an unnoticed touch.
