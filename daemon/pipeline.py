@@ -209,11 +209,13 @@ class Pipeline:
                 self._end(release, frame.host_s)
         if self._touch is not None:
             self._touch.length = frame.index + 1 - self._touch.first_index
+            longest = max(LIFT_OFF_FRAMES, self._touch.off_frames)
             self._touch.off_frames = frame.index - self._tracker.last_contact_index
             self._touch.degraded |= frame.bridged
             self._touch.meter.add(self._tracker.without_loose_wire(frame.pressure))
             self._feed(self._touch)
-            if self._touch.off_frames <= LIFT_OFF_FRAMES:
+            # In a longer silence, the frames off the pad become fewer when the network sees a hand in it.
+            if self._touch.off_frames <= longest:
                 self._answer_what_is_due(self._touch, frame)
             if self._touch.off_frames == AFTER_FRAMES:
                 self._answer_release(self._touch, frame)
@@ -295,10 +297,9 @@ class Pipeline:
             self._answer_at(touch, "released", touch.length, frame.host_s)
 
     def _end(self, release: Release, since_s: float) -> None:
-        touch = self._touch
+        touch, self._touch = self._touch, None
         if touch is None:
             return
-        self._touch = None
         frames = release.last_index + 1 - release.first_index
         seen = min(frames + AFTER_FRAMES, touch.length)
         if touch.due and touch.answered_release != seen:

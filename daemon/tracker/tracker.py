@@ -12,8 +12,7 @@ maybe: light contact may be a shifted baseline or a pad that wobbles. If contact
 touched: ends after `quiet_s` without contact, or when stillness or the network shows that nobody touches the
     pad even if it has not returned to the baseline; its readings then become the baseline. Then quiet.
 
-A gap in the frames ends a touch. After a long gap, or with another sensor, rest is measured again. The
-figures behind the numbers are in docs/sessions.md.
+A gap in the frames ends a touch. After a long gap, or with another sensor, rest is measured again.
 """
 
 import math

@@ -179,6 +179,27 @@ def test_an_answer_due_in_a_pause_is_deferred() -> None:
     bench.check_windows(54)
 
 
+class SeesWhatIsTooLight(Scripted):
+    """A model that at first sees an untouched pad, then a hand too light for any taxel."""
+
+    is_touched = False
+
+    def probabilities(self, frames: NDArray[np.float32]) -> NDArray[np.float64]:
+        if not self.is_touched:
+            return np.array([0.94 if label == NO_TOUCH else 0.01 for label in LABELS])
+        return super().probabilities(frames)
+
+
+def test_a_touch_that_only_the_model_sees_is_answered_while_the_hand_is_there() -> None:
+    model = SeesWhatIsTooLight()
+    bench = Bench(model)
+    bench.feel(nothing(2.0))
+    model.is_touched = True
+    events = bench.feel(nothing(5.0) + 0.5)
+    assert answered(events) == [EARLY, REVISED, FINAL]
+    assert not ended(events)
+
+
 def test_without_a_touch_the_model_gets_no_frames() -> None:
     bench = Bench()
     assert bench.feel(nothing(20.0)) == []
