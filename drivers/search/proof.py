@@ -29,6 +29,8 @@ SURE = 2.5
 # A pad is at rest for a quarter of the time, and 30 % of its values stay near their median: a hand moves a
 # cell by more than this times as far, by 27 times in 19 of 20 of these touches; channels that swing, 4 times.
 AT_REST, NEAR_REST, FARTHER = 0.25, 0.3, 10.0
+# If rows and columns were told the other way round, neighbours move together less by more than this.
+TIE = 0.005
 # A hand moves cells one way, and the other way by less than this share: by 0.26 in 19 of 20 of these touches;
 # by 0.9 on channels that oscillate.
 BOTH_WAYS = 0.4
@@ -159,8 +161,6 @@ def settled(placed: Placement) -> PadFormat:
 
 
 def _is_turned(placed: Placement) -> bool:
-    """Whether cells are sent column by column: they move as those one column, not one row, later do."""
-    moved, sides = movement(placed.values), placed.cells.shape
-    lags = range(max(sides) + 2)
-    shared = [float((moved[:, lag:] * moved[:, : moved.shape[1] - lag]).sum()) for lag in lags]
-    return [side for side in sides if shared[side] > max(shared[side - 1], shared[side + 1])] == [sides[0]]
+    """Whether neighbours move together more if rows and columns are taken the other way round."""
+    moved, turned = movement(placed.values), placed.cells.reshape(placed.cells.shape[::-1])
+    return together(moved, *pairs(turned)) > together(moved, *pairs(placed.cells)) + TIE
