@@ -17,9 +17,9 @@ FrameCount = Annotated[int, msgspec.Meta(ge=1, le=432)]
 EARLIEST_FRAMES = 9
 
 # A gesture has changed when the log odds between the told one and another have shifted by this much since the
-# last answer. With 6.5, 3 in 100 changes more are told, but on a body that breathes 1 in 100 touches more
-# that do not change is told again. Probabilities below the second constant are raised to it.
-CHANGED_LOG_ODDS = 7.0
+# last answer. With 6, 2 in 100 changes more are told, but 1 in 100 touches more that do not change is told
+# again. Probabilities below the second constant are raised to it.
+CHANGED_LOG_ODDS = 6.5
 LEAST_PROBABILITY = 0.01
 
 Sure: TypeAlias = Literal["eager", "balanced"]

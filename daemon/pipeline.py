@@ -41,10 +41,10 @@ from touchd.drivers.pad.grid import GridFrame, Ring
 from touchd.model.classifier import Classifier, ModelState, as_known
 
 STAGES: tuple[Stage, Stage, Stage] = ("early", "revised", "final")
-# After the final answer the network is asked about the last 0.9 s alone, three times a second while the hand
+# After the final answer the network is asked about the last 0.8 s alone, three times a second while the hand
 # is there. The mean of two such windows shows whether the gesture has changed (docs/sessions.md).
 ONGOING_STRIDE_FRAMES = 18
-ONGOING_FRAMES = 50
+ONGOING_FRAMES = 42
 ONGOING_WINDOWS = 2
 # An answer that is due in a silence longer than a pat's lift-off waits until the silence proves to be a pause
 # (then it is included: in HAART 90 % right, 70 without) or the end (then it is excluded: 80 %, 60 with). In

@@ -414,7 +414,7 @@ def test_a_lasting_change_of_gesture_is_told() -> None:
     bench = Bench(Scripted(lambda asked: "stroke" if asked <= 1 else "rub"))
     events = bench.feel(palm(8.0, counts=60.0), nothing(2.0))
     assert told(events) == [("early", "stroke"), ("ongoing", "rub")]
-    assert answered(events) == [EARLY, REVISED, FINAL, ("ongoing", 50)]
+    assert answered(events) == [EARLY, REVISED, FINAL, ("ongoing", 42)]
     assert predictions(events)[-1].elapsed_s == 3.667
     assert [end.gesture for end in ended(events)] == ["rub"]
 
