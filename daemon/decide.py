@@ -16,9 +16,8 @@ FrameCount = Annotated[int, msgspec.Meta(ge=1, le=432)]
 # Frames after which a touch may be answered early, about a sixth of a second.
 EARLIEST_FRAMES = 9
 
-# A gesture has changed when the log odds between the told one and another have shifted by this much since the
-# last answer. With 6, 2 in 100 changes more are told, but 1 in 100 touches more that do not change is told
-# again. Probabilities below the second constant are raised to it.
+# A gesture has changed when the log odds of another against the told one have risen by this, counting the
+# second number as the least probability. With 6, 2 % more changes are told, and 1 % more touches told again.
 CHANGED_LOG_ODDS = 6.5
 LEAST_PROBABILITY = 0.01
 
@@ -129,11 +128,11 @@ class Decision:
             best != self.told and scene[best] - scene[self.told] >= self._settings.revise_margin
         )
 
-    def is_sure_of_released(self, probabilities: NDArray[np.float64]) -> bool:
-        """Whether to answer a touch whose hand has just left, before its quiet time shows that it is over."""
-        scene = self.weigh(probabilities)
-        best = _likeliest(scene)
-        return self.told is None and best != NO_TOUCH and scene[best] >= self._settings.speak_above
+    def is_sure_of_released(self, probabilities: NDArray[np.float64], *, is_over: bool) -> bool:
+        """Whether to answer a touch whose hand has left. is_over: so long ago that it has likely ended."""
+        scene = self.weigh(probabilities * self._ended if is_over else probabilities)
+        best, limit = _likeliest(scene), self._limit("released" if is_over else "early")
+        return self.told is None and best != NO_TOUCH and scene[best] >= limit
 
     def has_changed(self, probabilities: NDArray[np.float64]) -> bool:
         """Whether a touch's latest frames show another gesture than the last answer: (labels,) probabilities.

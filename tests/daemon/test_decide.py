@@ -151,7 +151,7 @@ def test_every_gesture_can_be_told_and_no_touch_cannot(label: str) -> None:
     eager = DecisionSettings(early="when_sure", sure="eager")
     assert Decision(SETTINGS, LABELS).answer("early", said).told == is_touch
     assert Decision(eager, LABELS).is_sure(said, 54) == is_touch
-    assert Decision(SETTINGS, LABELS).is_sure_of_released(said) == is_touch
+    assert Decision(SETTINGS, LABELS).is_sure_of_released(said, is_over=False) == is_touch
     ended = Decision(SETTINGS, LABELS).answer("uncertain", said)
     assert (ended.told, ended.perhaps) == (is_touch, label if is_touch else "")
 
@@ -166,7 +166,7 @@ def test_limits_are_reached_by_equal_values() -> None:
             {"rub": 0.5, "stroke": 0.25, "notouch": 0.25},
         )
     )
-    assert decision.is_sure_of_released(stroke)
+    assert decision.is_sure_of_released(stroke, is_over=False)
     assert decision.answer("early", stroke).told
     assert decision.answer("revised", rub).told
 
@@ -193,11 +193,19 @@ def test_stages_out_of_order_are_refused(stages: tuple[int, int, int]) -> None:
         DecisionSettings(answer_at_frames=stages)
 
 
-def test_a_hand_that_has_left_is_answered_from_speak_above_on() -> None:
+def test_a_hand_that_has_just_left_is_answered_from_speak_above_on() -> None:
     decision = Decision(SETTINGS, LABELS)
-    assert decision.is_sure_of_released(probabilities(pat=0.6))
-    assert not decision.is_sure_of_released(probabilities(pat=0.59))
-    assert not decision.is_sure_of_released(probabilities(notouch=0.9))
+    assert decision.is_sure_of_released(probabilities(pat=0.6), is_over=False)
+    assert not decision.is_sure_of_released(probabilities(pat=0.59), is_over=False)
+    assert not decision.is_sure_of_released(probabilities(notouch=0.9), is_over=False)
+
+
+def test_a_hand_that_has_been_off_for_half_a_second_is_answered_from_released_above_on() -> None:
+    decision = Decision(DecisionSettings(released_above=0.3), LABELS)
+    pat, less = (probabilities(pat=value, rub=0.1, stroke=0.1) for value in (0.27, 0.26))
+    assert decision.is_sure_of_released(pat, is_over=True)
+    assert not decision.is_sure_of_released(less, is_over=True)
+    assert not decision.is_sure_of_released(probabilities(notouch=0.99), is_over=True)
 
 
 def test_a_final_answer_below_final_above_ends_uncertain() -> None:

@@ -148,10 +148,19 @@ def test_a_hand_that_has_left_is_answered_at_once() -> None:
     assert ended(events) == []
 
 
-def test_an_unsure_answer_to_a_hand_that_has_left_waits() -> None:
+def test_an_unsure_answer_to_a_hand_that_has_left_waits_for_half_a_second() -> None:
     bench = Bench(decision=DecisionSettings(speak_above=0.95, released_above=0.9))
-    assert predictions(bench.feel(palm(0.5), nothing(0.6))) == []
-    assert told(bench.feel(nothing(1.0))) == [("released", "stroke")]
+    assert predictions(bench.feel(palm(0.5), nothing(0.45))) == []
+    events = bench.feel(nothing(0.1))
+    assert (told(events), ended(events)) == ([("released", "stroke")], [])
+    (end,) = bench.feel(nothing(1.0))
+    assert ended([end]) == [end]
+
+
+def test_an_answer_too_unsure_for_an_ended_touch_waits_for_its_end() -> None:
+    bench = Bench(decision=DecisionSettings(speak_above=0.97, released_above=0.96))
+    assert predictions(bench.feel(palm(0.5), nothing(0.7))) == []
+    assert told(bench.feel(nothing(0.5))) == [("uncertain", "uncertain")]
 
 
 def test_a_hand_that_comes_back_goes_on_with_its_touch() -> None:
@@ -174,7 +183,7 @@ def test_a_hand_that_left_long_ago_is_not_answered_at_once() -> None:
 
 def test_an_answer_due_in_a_pause_is_deferred() -> None:
     bench = Bench(decision=DecisionSettings(speak_above=0.95))
-    assert answered(bench.feel(palm(0.7), nothing(0.5))) == []
+    assert answered(bench.feel(palm(0.7), nothing(0.45))) == []
     assert answered(bench.feel(palm(2.0))) == [EARLY, REVISED, FINAL]
     bench.check_windows(54)
 
