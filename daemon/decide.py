@@ -17,7 +17,7 @@ FrameCount = Annotated[int, msgspec.Meta(ge=1, le=432)]
 EARLIEST_FRAMES = 9
 
 # A gesture has changed when the log odds of another against the told one have risen by this, counting the
-# second number as the least probability. With 6, 2 % more changes are told, and 1 % more touches told again.
+# second number as the least probability. With 6, 2 % more changes are told, and 1 % more that are none.
 CHANGED_LOG_ODDS = 6.5
 LEAST_PROBABILITY = 0.01
 
