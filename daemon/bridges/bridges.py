@@ -2,8 +2,9 @@
 
 import importlib.util
 import logging
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from touchd.daemon.bridge_settings import LslSettings, MqttSettings, Ros2Settings, Section
 from touchd.daemon.bridges.bridge import Bridge, BridgeError, bridge_class
@@ -11,6 +12,9 @@ from touchd.daemon.config import Settings
 from touchd.drivers.frame import NO_TOUCH
 from touchd.drivers.installed import EXTRAS, how_to_install
 from touchd.model.classifier import Classifier
+
+if TYPE_CHECKING:
+    from touchd.daemon.bridges.retained import Retained
 
 log = logging.getLogger(__name__)
 
@@ -27,35 +31,42 @@ def make_bridges(
         name: pad.scene.gestures or tuple(label for label in models[name].labels if label != NO_TOUCH)
         for name, pad in settings.pads.items()
     }
+    retained = _retained(settings.mqtt, gestures, state, config) if config is not None else None
     bridges: list[Bridge] = []
     for name, section in settings.bridges.items():
         if isinstance(section, LslSettings | Ros2Settings):
             bridges.append(_make(name, section, tuple(gestures), ()))
         elif isinstance(section, MqttSettings):
-            bridges += _mqtt_bridges(section, gestures)
+            bridges += _mqtt_bridges(section, gestures, retained.reached if retained else lambda: None)
         elif section is not None:
             bridges += [_make(name, section, (pad,), tuple(own)) for pad, own in gestures.items()]
-    if config is not None:
-        bridges += _clearings(settings.mqtt, gestures, state, config)
+    if retained is not None:
+        bridges += _clearings(retained)
     return tuple(bridges)
 
 
-def _mqtt_bridges(section: MqttSettings, gestures: Mapping[str, Sequence[str]]) -> list[Bridge]:
+def _mqtt_bridges(
+    section: MqttSettings, gestures: Mapping[str, Sequence[str]], reached: Callable[[], None]
+) -> list[Bridge]:
     _check_libraries("mqtt")
     from touchd.daemon.bridges.mqtt import MqttBridge
 
-    return [MqttBridge(section, pad, tuple(own)) for pad, own in gestures.items()]
+    return [MqttBridge(section, pad, tuple(own), reached) for pad, own in gestures.items()]
 
 
-def _clearings(section: MqttSettings | None, pads: Iterable[str], state: Path, config: Path) -> list[Bridge]:
-    """Remember what the section retains; return what clears the topics that former ones left, by broker."""
+def _retained(section: MqttSettings | None, pads: Iterable[str], state: Path, config: Path) -> "Retained":
+    """Return the topics that the section retains, and those that former ones left."""
     from touchd.daemon.bridges.retained import OnBroker, Retained, topics_of
 
     present = None
     if section is not None:
         topics = tuple(topic for pad in pads for topic in topics_of(section, pad))
         present = OnBroker(section, topics)
-    retained = Retained(state, config, present)
+    return Retained(state, config, present)
+
+
+def _clearings(retained: "Retained") -> list[Bridge]:
+    """Return what clears the topics that former configurations left, by broker."""
     clearings: list[Bridge] = []
     for former in retained.former:
         try:

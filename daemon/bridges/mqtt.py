@@ -6,7 +6,7 @@ import ssl
 import time
 from abc import abstractmethod
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import msgspec
@@ -157,10 +157,18 @@ class MqttBridge(BrokerConnection):
     The state is the pad's (see `SensorEvent`), "stopped" (touchd has ended) or, as the last will, "lost". The
     bridge listens to it: if another daemon's end, a late last will or a person's deletion replaces the state,
     it is published again.
+    reached: called on each connection, before anything is published.
     """
 
-    def __init__(self, settings: MqttSettings, pad: str, labels: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        settings: MqttSettings,
+        pad: str,
+        labels: Sequence[str] = (),
+        reached: Callable[[], None] = lambda: None,
+    ) -> None:
         self._labels = labels
+        self._reached = reached
         self._topic = f"{settings.topic}/{pad}"
         self._state_topic, *announced = topics_of(settings, pad)
         # None if nothing is announced.
@@ -180,6 +188,7 @@ class MqttBridge(BrokerConnection):
         client.will_set(self._state_topic, LOST, qos=1, retain=True)
 
     def greet(self, client: "Client") -> None:
+        self._reached()
         topics = [self._state_topic]
         if self._announcement_topic is not None:
             topics += [self._announcement_topic, f"{self._settings.discovery}/status"]

@@ -63,7 +63,8 @@ class Memory(msgspec.Struct, frozen=True):
 class Retained:
     """The retained topics of a daemon. Thread-safe.
 
-    folder: for state. present: those of the present configuration, None without a broker.
+    folder: for state. present: those of the present configuration, None without a broker. They are remembered
+    from the first connection on: an address that never was a broker's has nothing to clear.
     former: those that an earlier configuration left, by broker, to be cleared.
     """
 
@@ -80,11 +81,18 @@ class Retained:
         # A broker that is used now is reached as now: its login may have changed.
         before = _merged([*remembered, *(OnBroker(on.broker, ()) for on in now)])
         self.former = tuple(left for on in before if (left := on.without([*living, *now])).topics)
-        # Before anything is published: if the daemon is killed in between, nothing is forgotten.
+        self._held = _common(remembered, present) if present is not None else ()
         self._write()
         for file in gone:
             with suppress(OSError):
                 file.unlink()
+
+    def reached(self) -> None:
+        """Note that the present broker is there; call it before anything is published, in case of a kill."""
+        with self._lock:
+            if self._present is not None and self._held != (self._present,):
+                self._held = (self._present,)
+                self._write()
 
     def cleared(self, cleared: OnBroker) -> None:
         """Note that a broker no longer has these topics."""
@@ -93,7 +101,7 @@ class Retained:
             self._write()
 
     def _write(self) -> None:
-        brokers = _merged([*self.former, *([self._present] if self._present is not None else [])])
+        brokers = _merged([*self.former, *self._held])
         try:
             if not brokers:
                 self._file.unlink(missing_ok=True)
@@ -110,6 +118,13 @@ def file_for(config: Path, folder: Path) -> Path:
     """Return the file in a state folder that belongs to a configuration file."""
     name = str(config.resolve()).encode(errors="surrogateescape")
     return folder / MEMORY_FILES.replace("*", hashlib.sha256(name).hexdigest()[:16])
+
+
+def _common(remembered: Iterable[OnBroker], present: OnBroker) -> tuple[OnBroker, ...]:
+    """Return what is both present and remembered, to be reached as at present."""
+    before = {topic for on in remembered if on.address == present.address for topic in on.topics}
+    topics = tuple(topic for topic in present.topics if topic in before)
+    return (OnBroker(present.broker, topics),) if topics else ()
 
 
 def _merged(brokers: Iterable[OnBroker]) -> tuple[OnBroker, ...]:

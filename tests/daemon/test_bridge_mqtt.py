@@ -374,6 +374,18 @@ def test_a_former_broker_is_cleared_once_it_is_there_and_forgotten(
         stop(clearing)
 
 
+def test_an_address_without_a_broker_is_not_remembered(
+    port: int, configured: Configured, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    refusing = free_port()
+    with broker(tmp_path, refusing, "allow_anonymous true\nretain_available false\n"):
+        for wrong, why in ((free_port(), "Connection refused"), (refusing, "Retain not supported")):
+            before = configured("a.yaml", announced(wrong))
+            wait_for(lambda why=why: why in caplog.text)
+            stop(*before)
+    assert len(configured("a.yaml", announced(port))) == 1
+
+
 def test_a_former_topic_is_cleared_with_the_present_login(tmp_path: Path, configured: Configured) -> None:
     port = free_port()
     with broker(tmp_path, port):
@@ -414,7 +426,9 @@ def test_a_former_password_file_that_is_gone_stops_nothing(
     port: int, configured: Configured, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     (tmp_path / "password").write_text("guess")
-    stop(*configured("a.yaml", announced(port, user="robot", password_file=str(tmp_path / "password"))))
+    before = configured("a.yaml", announced(port, user="robot", password_file=str(tmp_path / "password")))
+    wait_for(lambda: ANNOUNCED in all_retained(port))
+    stop(*before)
     (tmp_path / "password").unlink()
     assert configured("a.yaml", None) == ()
     assert "touchd/pad/state" in caplog.text
@@ -425,13 +439,19 @@ def test_a_damaged_memory_of_topics_does_not_matter(tmp_path: Path) -> None:
     config = tmp_path / "a.yaml"
     config.touch()
     on_broker = OnBroker(MqttSettings(), ("b",))
+
+    def restarted(folder: Path, path: Path) -> tuple[OnBroker, ...]:
+        retained = Retained(folder, path, on_broker)
+        retained.reached()
+        return retained.former
+
     for content in (b"", b"\0" * 100, b'{"a": 1}', b"[" * 100_000, b'{"config": "\\u0000"}'):
         for file in (file_for(config, tmp_path), tmp_path / "mqtt-another.json"):
             file.write_bytes(content)
-        assert Retained(tmp_path, config, on_broker).former == ()
+        assert restarted(tmp_path, config) == ()
     assert Retained(tmp_path, config, None).former == (on_broker,)
     for folder, path in ((Path("/proc/no"), config), (tmp_path, Path(os.fsdecode(b"/\xff.yaml")))):
-        assert Retained(folder, path, on_broker).former == ()
+        assert restarted(folder, path) == ()
 
 
 @pytest.mark.parametrize("ending", ["stopped", "lost", ""])
