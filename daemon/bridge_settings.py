@@ -14,9 +14,9 @@ MEMORY_FILES = "mqtt-*.json"
 
 
 class MqttSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """An MQTT broker. A pad's topics are TOPIC/PAD/event, TOPIC/PAD/state and TOPIC/PAD/pressure."""
+    """An MQTT broker, its name or address alone. A pad's topics are TOPIC/PAD/event, /state and /pressure."""
 
-    host: Annotated[str, msgspec.Meta(min_length=1)] = "localhost"
+    host: Annotated[str, msgspec.Meta(pattern=r"^(?![^:]*:[^:]*$)[^\s/[\]]+$")] = "localhost"
     port: Port = 1883
     topic: Topic = "touchd"
     tls: bool = False

@@ -29,6 +29,7 @@ KINDS = {
 # Settings whose text has a certain form.
 FORMS = {
     "discovery": "discovery: homeassistant",
+    "host": "host: broker.local",
     "namespace": "namespace: /touchd",
     "topic": "topic: lab/nao1",
     "url": "url: ws://robot:9090",
@@ -61,20 +62,37 @@ YAML_PROBLEMS = {
     "determine a constructor": "tags (!name) are not allowed; write the value alone",
     "found unexpected end of stream": "a quote is opened above and not closed",
 }
+# Not spaces to YAML: a no-break space is part of a name or a value.
+INVISIBLE = re.compile("[\u00a0\u2002-\u200b\u202f\u2060\ufeff]")
 
 
-def explain_yaml(error: yaml.MarkedYAMLError) -> str:
+def explain_yaml(error: yaml.MarkedYAMLError, text: bytes) -> str:
     """Say where a text is not YAML and why, in words for somebody who does not know YAML."""
     mark = error.problem_mark or error.context_mark
     where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
     problem = str(error.problem)
     if problem.endswith("has no value"):
         problem += "; write null for none, {} for the defaults; a list is [a, b], a fraction 0.5"
-    return where + next((words for part, words in YAML_PROBLEMS.items() if part in problem), problem)
+    problem = next((words for part, words in YAML_PROBLEMS.items() if part in problem), problem)
+    return where + problem + _invisible(text)
 
 
-def explain(error: str, struct: type[msgspec.Struct]) -> str:
+def _invisible(text: bytes) -> str:
+    """Point out a character that looks like a space but is none, as pages and mails have."""
+    lines = text.decode(errors="replace").removeprefix("\ufeff").splitlines()
+    for number, line in enumerate(lines, 1):
+        if found := INVISIBLE.search(line.partition("#")[0]):
+            what = f"U+{ord(found[0]):04X}, perhaps copied from a page"
+            return f"; line {number} has an invisible character ({what}): type its spaces again"
+    return ""
+
+
+def explain(error: str, struct: type[msgspec.Struct], text: bytes) -> str:
     """Turn the text of a msgspec.ValidationError about a struct into one line for the user."""
+    return _explain(error, struct) + _invisible(text)
+
+
+def _explain(error: str, struct: type[msgspec.Struct]) -> str:
     problem, _, where = error.rpartition(" - at `")
     if not problem:
         problem, where = where, ""

@@ -56,7 +56,7 @@ def convert(file: Path, text: bytes, struct: type[T]) -> T:
     except yaml.MarkedYAMLError as error:
         from touchd.daemon.mistakes import explain_yaml
 
-        raise ConfigError(f"{file}: {explain_yaml(error)}") from error
+        raise ConfigError(f"{file}: {explain_yaml(error, text)}") from error
     except yaml.reader.ReaderError as error:
         line = len(text[: error.position + 1].splitlines())
         raise ConfigError(f"{file}: line {line}: {error.reason}; save the file as UTF-8 text") from error
@@ -67,4 +67,4 @@ def convert(file: Path, text: bytes, struct: type[T]) -> T:
     except msgspec.ValidationError as error:
         from touchd.daemon.mistakes import explain
 
-        raise ConfigError(f"{file}: {explain(str(error), struct)}") from error
+        raise ConfigError(f"{file}: {explain(str(error), struct, text)}") from error

@@ -142,6 +142,9 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
             "robot.token: unknown setting; write the token",
         ),
         ("journal: {path: x, max_mb: .inf}", "journal.max_mb: must be <= 10000.0"),
+        ("mqtt: {host: 'mqtt://broker'}", "mqtt.host: another form expected, as in host: broker.local"),
+        ("mqtt: {host: 'broker:1883'}", "mqtt.host: another form expected, as in host: broker.local"),
+        ("mqtt: {host: '[::1]'}", "mqtt.host: another form expected, as in host: broker.local"),
         ("mqtt: {topic: a/#}", "mqtt.topic: another form expected, as in topic: lab/nao1"),
         ("mqtt: {discovery: a/#}", "mqtt.discovery: another form expected, as in discovery: homeassistant"),
         ("ros2: {namespace: a b}", "ros2.namespace: another form expected, as in namespace: /touchd"),
@@ -168,6 +171,8 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
         ("sensor: !!python/object/apply:os.system [ls]", "tags (!name) are not allowed"),
         ("model: 2020-99-99", "not YAML"),
         ("a: \x00", "line 1: special characters are not allowed"),
+        ("sensor:\n\u00a0 port: a", "line 2 has an invisible character (U+00A0, perhaps copied from a page)"),
+        ("sensor:\n  port:\u00a0a", "line 2 has an invisible character (U+00A0, perhaps copied from a page)"),
         ("1: 2", "a name before a colon is not text"),
         (
             "scene: {actions: [{on: pat}]}",
