@@ -107,7 +107,7 @@ def load_qi() -> Any:
     os.environ.setdefault("QI_MAX_MESSAGE_PAYLOAD", "2000000")
     try:
         qi = importlib.import_module("qi")
-    except ImportError as error:
+    except (ImportError, SyntaxError) as error:
         from touchd.drivers.installed import why_no_qi
 
         raise RobotError(f"{why_no_qi(error)}, or set robot: null") from error

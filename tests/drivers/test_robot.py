@@ -176,6 +176,21 @@ def test_a_qi_that_cannot_be_loaded_is_reported_with_the_reason(
         RobotLink(RobotSettings(url="tcp://nao.local:9559"))
 
 
+@pytest.mark.parametrize("content", ["print 'hello'", "raise ImportError('undefined symbol: PyString_Type')"])
+def test_the_qi_of_an_sdk_for_python_2_on_pythonpath_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: str
+) -> None:
+    (tmp_path / "qi").mkdir()
+    (tmp_path / "qi/__init__.py").write_text(content)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", f"/opt/other:{tmp_path}")
+    monkeypatch.delitem(sys.modules, "qi", raising=False)
+    with pytest.raises(
+        RobotError, match=rf"leads to another one, {tmp_path}/qi/__init__.py, .*; unset PYTHON"
+    ):
+        RobotLink(RobotSettings(url="tcp://nao.local:9559"))
+
+
 @pytest.mark.parametrize(
     ("settings", "complaint"),
     [
