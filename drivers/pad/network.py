@@ -1,5 +1,6 @@
 """A pad on the network: over TCP touchd connects to it, over UDP it listens for what the pad sends."""
 
+import errno
 import logging
 import re
 import select
@@ -15,6 +16,10 @@ log = logging.getLogger(__name__)
 ADDRESS = re.compile(r"(tcp|udp|socket)://(\[[^\s\]]+\]|[^\s/:?]+)(?::(\d{0,5}))?")
 CONNECT_S = 3.0
 MAX_BYTES = 65536
+WHY_NOT_BOUND = {
+    errno.EADDRNOTAVAIL: "not an address of this computer, where touchd listens for the board; use udp://0.0.0.0",
+    errno.EACCES: "ports below 1024 are the system's; choose a higher one",
+}
 # A server that is busy may say so before it closes the connection, as ser2net does; quote this much of it.
 LONGEST_REFUSAL = 80
 # Over UDP, another board is read once the current one has sent no frame for GONE_S, or for TURN_S if it has
@@ -57,8 +62,10 @@ class NetworkPort:
             self._socket = socket.socket(family, socket.SOCK_DGRAM)
             try:
                 self._socket.bind(where)
-            except OSError:
+            except OSError as error:
                 self._socket.close()
+                if error.errno in WHY_NOT_BOUND:
+                    raise ValueError(WHY_NOT_BOUND[error.errno]) from error
                 raise
         self._received = b""
         self._sender: Any = None

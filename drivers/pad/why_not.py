@@ -42,9 +42,9 @@ def why_not_opened(port: str, error: Exception) -> SensorError:
     if isinstance(error, ConnectionResetError):
         return _closed_at_once(port, b"")
     if number in NOT_THERE:
-        question = "is the pad's board switched on, and in this network?"
-        if "://" not in port:
-            question = "is the pad plugged in and switched on?"
+        question = "is the pad plugged in and switched on?" if "/" in port else "name it as in /dev/ttyACM0"
+        if "://" in port:
+            question = "is the pad's board switched on, and in this network?"
         return SensorError("missing", f"{port} is not there: {question}")
     if number in NOT_ALLOWED:
         return SensorError("denied", f"no permission to open {port}: {_how_to_get_permission(port, number)}")

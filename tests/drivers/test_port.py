@@ -32,6 +32,7 @@ def test_a_readable_port_passes_undisturbed() -> None:
     [
         ("/dev/touchd-none", BAUD, "/dev/touchd-none is not there: is the pad plugged in"),
         ("", BAUD, "is not there"),
+        ("ttyACM9", BAUD, "ttyACM9 is not there: name it as in /dev/ttyACM0"),
         ("/etc/passwd", BAUD, "/etc/passwd is not a serial port: name a device like /dev/ttyACM0"),
         ("/", BAUD, "/ is not a serial port"),
         ("scoket://pad:1", BAUD, "scoket://pad:1 cannot be opened: .*'scoket' not known"),
