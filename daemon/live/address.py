@@ -3,6 +3,8 @@
 import errno
 import io
 import ipaddress
+import logging
+import os
 import re
 import socket
 
@@ -12,10 +14,14 @@ from touchd.daemon.addresses import own_addresses
 from touchd.daemon.config import ConfigError, LiveSettings
 from touchd.drivers.errors import TouchdError
 
+log = logging.getLogger(__name__)
+
 # Send buffer of a connection: a second or two of frames.
 SEND_BUFFER_BYTES = 16 * 1024
 EVERY_ADDRESS = ("0.0.0.0", "::")
 HIGHEST_PORT = 65535
+# Options that let a socket listen at an address that this computer has not got yet; see ip(7) and ipv6(7).
+FREEBIND = {socket.AF_INET: (socket.IPPROTO_IP, 15), socket.AF_INET6: (socket.IPPROTO_IPV6, 78)}
 
 
 class LiveError(TouchdError):
@@ -38,17 +44,42 @@ def parse_address(text: str, configured: LiveSettings | None) -> LiveSettings:
 
 def listen(settings: LiveSettings) -> socket.socket:
     """Return a socket that listens where these settings say; raises LiveError."""
-    takes_both = settings.host == "::" and socket.has_dualstack_ipv6()
+    host = settings.host
+    takes_both = host == "::" and socket.has_dualstack_ipv6()
     try:
-        found = socket.getaddrinfo(settings.host, settings.port, type=socket.SOCK_STREAM)
+        found = socket.getaddrinfo(host, settings.port, type=socket.SOCK_STREAM)
         # A name may have an IPv6 address alone, as localhost on some computers.
         family, *_, address = min(found, key=lambda entry: entry[0] != socket.AF_INET)
-        listening = socket.create_server(address[:2], family=family, dualstack_ipv6=takes_both)
+        try:
+            listening = socket.create_server(address[:2], family=family, dualstack_ipv6=takes_both)
+        except OSError as error:
+            # systemd may start the service before the network gives this computer its address.
+            if error.errno != errno.EADDRNOTAVAIL or "INVOCATION_ID" not in os.environ:
+                raise
+            listening = _listen_early(family, (str(address[0]), settings.port))
+            log.warning("live page: this computer does not have the address %s yet; waiting for it", host)
     except OSError as error:
-        where = f"the live page cannot listen on {settings.host} port {settings.port}"
+        where = f"the live page cannot listen on {host} port {settings.port}"
         raise LiveError(f"{where}: {_why(error, settings.port)}") from error
+    number = listening.getsockname()[0]
+    if ipaddress.ip_address(number).is_loopback and host != number and "localhost" not in host:
+        advice = "no other computer can see the page; 0.0.0.0 serves it to the network"
+        log.warning("live page: %s is %s here, as /etc/hosts may say: %s", host, number, advice)
     # Inherited by every connection.
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
+    return listening
+
+
+def _listen_early(family: socket.AddressFamily, address: tuple[str, int]) -> socket.socket:
+    listening = socket.socket(family)
+    try:
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.setsockopt(*FREEBIND[family], 1)
+        listening.bind(address)
+        listening.listen()
+    except OSError:
+        listening.close()
+        raise
     return listening
 
 

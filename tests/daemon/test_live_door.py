@@ -12,7 +12,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from touchd.daemon import cli
 from touchd.daemon.config import ConfigError, LiveSettings
-from touchd.daemon.live.address import is_own_host, listen, parse_address
+from touchd.daemon.live.address import LiveError, is_own_host, listen, parse_address
 from touchd.daemon.live.page import FOLDER
 from touchd.daemon.live.server import HANDSHAKE_S, MOST_CONNECTIONS
 from touchd.daemon.live.viewers import MOST_VIEWERS
@@ -172,3 +172,28 @@ def test_a_name_with_an_ipv6_address_alone_is_served(monkeypatch: pytest.MonkeyP
 def test_a_name_with_both_addresses_is_served_at_ipv4() -> None:
     with listen(LiveSettings(host="localhost", port=0)) as listening:
         assert listening.getsockname()[0] == "127.0.0.1"
+
+
+def test_a_service_started_before_the_network_serves_its_address_later(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.delenv("INVOCATION_ID", raising=False)
+    with pytest.raises(LiveError, match="this computer has no such address"):
+        listen(LiveSettings(host="192.0.2.1", port=0))
+    monkeypatch.setenv("INVOCATION_ID", "started by systemd")
+    with listen(LiveSettings(host="192.0.2.1", port=0)) as listening:
+        assert listening.getsockname()[0] == "192.0.2.1"
+    assert "this computer does not have the address 192.0.2.1 yet; waiting for it" in caplog.text
+
+
+def test_a_name_that_is_this_computer_alone_is_warned_of(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    for host in ("127.0.0.1", "localhost"):
+        listen(LiveSettings(host=host, port=0)).close()
+    assert caplog.text == ""
+    # As Debian writes the computer's own name into /etc/hosts.
+    own = (socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.1.1", 0))
+    monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: [own])
+    listen(LiveSettings(host="labpc", port=0)).close()
+    assert "labpc is 127.0.1.1 here, as /etc/hosts may say: no other computer can see the page" in caplog.text
