@@ -26,7 +26,7 @@ def complain(error: Exception) -> int:
         what = f"{error.name} is not installed (extra {extra}): {how_to_install(extra)}{size}"
     elif isinstance(error, ImportError) and (library := NOT_THERE.search(str(error))):
         what = f"{library[1]}, a library of the system, is not there; install the package that brings it"
-    elif isinstance(error, OSError) and error.errno == errno.ENOSPC:
+    elif isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
         discard_output()
         what = f"{error.filename or 'standard output'}: cannot be written ({error.strerror})"
     elif isinstance(error, OSError) and error.errno in (errno.EACCES, errno.ENAMETOOLONG):

@@ -10,6 +10,7 @@ from rich.console import Console
 from touchd.daemon.commands.one_pad import add_settings, load_model, settings_of
 from touchd.daemon.kept.touches import read_journal
 from touchd.daemon.playback.stream import add_arguments, chosen_stream
+from touchd.drivers.errors import one_line
 from touchd.drivers.numbers import within
 from touchd.drivers.recording import SUFFIXES
 
@@ -43,7 +44,8 @@ def main(arguments: Sequence[str]) -> int:
 
     path: Path = options.out or picture_of(options.files[0])
     check_format(path)
-    names = ", ".join(file.name for file in options.files)
+    # A name from an old disk or archive may not be UTF-8, which matplotlib cannot write.
+    names = one_line(", ".join(file.name for file in options.files))
     if all(file.is_dir() or file.name.endswith(SUFFIXES) for file in options.files):
         settings = settings_of(options).settings
         model = load_model(settings)

@@ -121,6 +121,16 @@ def test_closed_or_full_streams_cause_no_internal_error(
     assert len(done.stderr.splitlines()) == bool(said)
 
 
+def test_a_limit_on_what_a_user_may_write_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    # As a quota for a home folder on a server; bash's own limit is in KiB.
+    monkeypatch.delenv("PYTHONUNBUFFERED", raising=False)
+    done = ran(["bash", "-c", f"ulimit -f 2; {sys.executable} -m touchd.daemon config >{tmp_path}/a.yaml"])
+    assert done.returncode == 2
+    assert done.stderr == "touchd: standard output: cannot be written (File too large)\n"
+
+
 def test_the_printed_name_runs_this_program(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("PATH", os.defpath)
     for folder in (tmp_path, ROOT):

@@ -1,5 +1,6 @@
 """`touchd plot`: pictures of touches, answers and pressure over time."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -118,6 +119,13 @@ def recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.chdir(tmp_path)
     write_simulated(tmp_path / "mine.csv.gz", [("notouch", 1.5), ("rub", 1.5), ("notouch", 1.5)], 4)
     return tmp_path / "mine.csv.gz"
+
+
+def test_a_file_whose_name_is_not_utf_8_is_drawn(recorded: Path) -> None:
+    odd = recorded.with_name(os.fsdecode(b"m\xe4rz.csv.gz"))
+    recorded.rename(odd)
+    assert cli.main(["plot", str(odd), "-o", "a.png"]) == 0
+    assert Path("a.png").read_bytes().startswith(PNG)
 
 
 def test_a_picture_is_written_to_the_working_folder(
