@@ -78,4 +78,4 @@ def written_out(path: str) -> Path:
     try:
         return Path(path).expanduser()
     except RuntimeError as error:
-        raise PathError(f"{path}: unknown home; write the whole path from / on") from error
+        raise PathError(f"{path}: unknown home; set HOME, or write the whole path from / on") from error

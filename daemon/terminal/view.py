@@ -1,6 +1,7 @@
 """The terminal view: pad, answer, time line, probabilities, and the robot's words."""
 
 import logging
+import signal
 import textwrap
 import threading
 from collections import deque
@@ -212,11 +213,14 @@ class View:
             self._live.stop()
 
     def __enter__(self) -> "View":
+        # Ctrl-Z would leave the shell on this screen, without a cursor, and the daemon silent behind it.
+        self._on_ctrl_z = signal.signal(signal.SIGTSTP, signal.SIG_IGN)
         self._live.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self.stop()
+        signal.signal(signal.SIGTSTP, self._on_ctrl_z)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Segment]:
         """Yield the picture at the size of the terminal."""

@@ -5,6 +5,7 @@ import os
 import pty
 import re
 import select
+import signal
 import struct
 import subprocess
 import sys
@@ -217,7 +218,7 @@ def test_a_command_to_copy_is_shown_whole(doing: str) -> None:
     assert doing in last
 
 
-def test_resizing_and_ending_leave_the_terminal_clean() -> None:
+def test_resizing_ctrl_z_and_ending_leave_the_terminal_clean() -> None:
     master, slave = pty.openpty()
     screen = pyte.Screen(80, 24)
     stream = pyte.ByteStream(screen)
@@ -241,8 +242,11 @@ def test_resizing_and_ending_leave_the_terminal_clean() -> None:
         stdout=slave,
         stderr=subprocess.DEVNULL,
         env={**environment, "TERM": "xterm-256color", "COLORTERM": "truecolor"},
+        # A group whose parent could continue it, so that Ctrl-Z can stop it.
+        preexec_fn=os.setpgrp,
     ) as process:
         show_until("pad up")
+        process.send_signal(signal.SIGTSTP)
         resize(60, 24)
         # A refresh starts at the top left; after two more everything has been redrawn.
         drawn = b""
