@@ -42,7 +42,8 @@ def why_not_opened(port: str, error: Exception) -> SensorError:
     if isinstance(error, ConnectionResetError):
         return _closed_at_once(port, b"")
     if number in NOT_THERE:
-        question = "is the pad plugged in and switched on?" if "/" in port else "name it as in /dev/ttyACM0"
+        question = "is the pad plugged in and switched on?" if "/" in port else "name it as in /dev/ttyACM0."
+        question += "".join(f" There is {name}." for name in sorted(Path("/dev").glob("tty[AU][CS][MB]*")))
         if "://" in port:
             question = "is the pad's board switched on, and in this network?"
         return SensorError("missing", f"{port} is not there: {question}")
@@ -132,8 +133,7 @@ def _how_to_get_permission(port: str, number: int | None) -> str:
 
 def _mode_allows(node: os.stat_result) -> bool:
     """Whether a node's owner, group and mode allow it. `os.access` asks a container's rules, too."""
-    group = 3 if node.st_gid in (os.getegid(), *os.getgroups()) else 0
-    shift = 6 if node.st_uid == os.geteuid() else group
+    shift = 6 if node.st_uid == os.geteuid() else 3 * (node.st_gid in (os.getegid(), *os.getgroups()))
     return os.geteuid() == 0 or node.st_mode >> shift & 6 == 6
 
 

@@ -6,12 +6,14 @@ import logging
 import os
 import struct
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 import serial
 from rigs.formats import encode_fabric_grid
 from rigs.sensor_rig import BAUD, next_state, sensing, stream_of
+from rigs.sockets import free_port
 
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.pad.port import SensorError, check_port, open_port
@@ -55,6 +57,17 @@ def test_a_port_that_cannot_work_is_refused_in_one_line(port: str, baud: int, me
     with pytest.raises(SensorError, match=message) as refusal:
         check_port(port, baud)
     assert "\n" not in str(refusal.value)
+
+
+def test_the_ports_that_are_there_are_named_beside_one_that_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    there = [Path("/dev/ttyUSB0"), Path("/dev/ttyACM1")]
+    monkeypatch.setattr(Path, "glob", lambda *_: there)
+    for port, said in (
+        ("/dev/ttyACM0", r"plugged in and switched on\? There is /dev/ttyACM1\. There is /dev/ttyUSB0\."),
+        (f"tcp://127.0.0.1:{free_port()}", r"switched on, and in this network\?$"),
+    ):
+        with pytest.raises(SensorError, match=said):
+            open_port(port, BAUD)
 
 
 def test_a_wrong_address_option_is_refused_in_one_line() -> None:
