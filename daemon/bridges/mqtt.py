@@ -407,7 +407,7 @@ def _pressure(frame: Frame) -> bytes:
 
 def _read_password(file: str) -> str:
     try:
-        with open(written_out(file), encoding="utf-8", opener=without_waiting) as opened:
+        with open(written_out(file), encoding="utf-8-sig", opener=without_waiting) as opened:
             password = opened.read(MAX_PASSWORD_BYTES).strip()
     except (OSError, UnicodeDecodeError) as error:
         raise BridgeError(

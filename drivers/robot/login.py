@@ -86,7 +86,7 @@ def _read_token(token_file: str) -> str:
         fd = os.open(written_out(token_file), os.O_RDONLY | os.O_NONBLOCK)
         with open(fd, "rb", buffering=0) as file:
             content = file.read(MAX_TOKEN_BYTES + 1) or b""
-        token = content.decode().strip()
+        token = content.decode("utf-8-sig").strip()
     except (OSError, UnicodeDecodeError) as error:
         why = error.strerror if isinstance(error, OSError) else "not text"
         raise RobotError(f"robot token_file {where} cannot be read ({why})") from error

@@ -193,7 +193,8 @@ def test_it_logs_in_over_tls_with_a_password_file(tmp_path: Path, opened: Open) 
     authority.cert_pem.write_to_path(tmp_path / "ca.pem")
     certificate.private_key_pem.write_to_path(tmp_path / "key.pem")
     certificate.cert_chain_pems[0].write_to_path(tmp_path / "cert.pem")
-    (tmp_path / "password").write_text("s3cret\n")
+    # As an editor on Windows may save it.
+    (tmp_path / "password").write_bytes(b"\xef\xbb\xbfs3cret\r\n")
     lines = f"cafile {tmp_path}/ca.pem\ncertfile {tmp_path}/cert.pem\nkeyfile {tmp_path}/key.pem\n"
     port = free_port()
     ca_file = str(tmp_path / "ca.pem")

@@ -116,7 +116,8 @@ def hears(robot: Robot, link: RobotLink, gesture: str = "pat") -> None:
 def login_in(folder: Path, login: Login = LOGIN) -> dict[str, Any]:
     """Return the settings for a login, with the token in a file of a folder."""
     token = folder / "token"
-    token.write_text(f"{login.token}\n")
+    # As an editor on Windows may save it.
+    token.write_bytes(f"\ufeff{login.token}\r\n".encode())
     token.chmod(0o600)
     return {"user": login.user, "token_file": str(token)}
 
