@@ -157,38 +157,48 @@ def _ports() -> list[str]:
 def _find(console: Console, ports: Sequence[str], bauds: Sequence[int], grid: Grid | None) -> Found | None:
     """Return the first port with a pad, else the first that sends anything; None if none does.
 
-    Silent ports are polled only if no port sends by itself.
+    Silent ports are polled only if no port sends by itself. Raises SensorError if none sends and one is
+    forbidden or busy: the pad may be there.
     """
     unknown: Found | None = None
     silent: list[str] = []
+    closed: list[SensorError] = []
     for port in ports:
-        found = _listen(console, port, bauds, grid)
+        try:
+            found = _listen(console, port, bauds, grid)
+        except (SensorError, OSError) as error:
+            if isinstance(error, SensorError) and error.kind in ("denied", "busy"):
+                closed.append(error)
+            else:
+                console.print(str(error), style="yellow")
+            continue
         if found is None:
             silent.append(port)
         elif found.described is not None:
             return found
         unknown = unknown or found
-    return unknown or next(filter(None, (_poll(port, bauds[0]) for port in silent)), None)
+    unknown = unknown or next(filter(None, (_poll(port, bauds[0]) for port in silent)), None)
+    if unknown is None and closed:
+        raise closed[0]
+    for why in closed:
+        console.print(str(why), style="yellow")
+    return unknown
 
 
 def _listen(console: Console, port: str, bauds: Sequence[int], grid: Grid | None) -> Found | None:
-    """Return the sender at a port; None if there is none."""
+    """Return the sender at a port, None if there is none; raises SensorError or OSError."""
     tried: list[int] = []
 
     def trying(baud: int) -> None:
         tried.append(baud)
         console.print(f"listening to {port}{at_baud(port, baud)} ...")
 
-    try:
-        with open_port(port, min(bauds)) as opened:
-            baud = likeliest_baud(opened, bauds if "://" not in port else bauds[:1], trying)
-            if baud is None:
-                return None
-            described = _describe(console, opened, f"{port}{at_baud(port, baud)}", tried, grid)
-            return Found(port, baud, described)
-    except (SensorError, OSError) as error:
-        console.print(str(error), style="yellow")
-        return None
+    with open_port(port, min(bauds)) as opened:
+        baud = likeliest_baud(opened, bauds if "://" not in port else bauds[:1], trying)
+        if baud is None:
+            return None
+        described = _describe(console, opened, f"{port}{at_baud(port, baud)}", tried, grid)
+        return Found(port, baud, described)
 
 
 def _describe(

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import serial
 from msgspec.structs import replace
 from rich.console import Console
 from rigs.coarse_pad import third_study
@@ -163,6 +164,16 @@ def test_a_file_that_cannot_be_written_is_reported_at_once(capsys: pytest.Captur
 def test_without_a_pad_the_file_describes_a_fabric_pad() -> None:
     assert write("--port", "none") == 1
     assert load(FILE).sensor == SensorSettings(port="none")
+
+
+def test_a_port_that_another_program_reads_is_no_missing_pad() -> None:
+    with (
+        FakePort(STREAM, ENCODE) as pad,
+        serial.Serial(pad.path, exclusive=True),
+        pytest.raises(SensorError, match="is busy: another program reads it"),
+    ):
+        write("--port", pad.path)
+    assert not FILE.exists()
 
 
 @pytest.mark.parametrize(
