@@ -89,9 +89,8 @@ def placements(data: bytes, rows: int, columns: int) -> Iterator[Placement]:
                 if values is not None:
                     place = {"skip": around - run.start() - len(header), "tail": run.start()}
                     grid = {"rows": rows, "columns": columns, "cell": kind, "order": order}
-                    yield Placement(
-                        replace(PadFormat(), full_scale=1, header=header.hex(), **grid, **place), values
-                    )
+                    described = replace(PadFormat(), full_scale=1, header=header.hex(), **grid, **place)
+                    yield Placement(described, values)
 
 
 def _decoded(cells: NDArray[np.uint8], kind: str) -> Numbers | None:

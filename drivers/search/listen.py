@@ -46,16 +46,14 @@ def listen(
 ) -> list[Chunk]:
     """Return what arrives within `seconds`; raises SensorError when the port goes away.
 
-    enough: called after each chunk; ends listening when true.
+    enough: called before each read; ends listening when true.
     """
     silent = parser_of(PRESETS["fabric-grid"])
     chunks: list[Chunk] = []
     until_s = time.monotonic() + seconds
-    while time.monotonic() < until_s:
+    while time.monotonic() < until_s and not enough(chunks):
         if data := read_waiting(opened, silent):
             chunks.append(Chunk(data, time.monotonic()))
-        if enough(chunks):
-            break
     return chunks
 
 

@@ -14,8 +14,7 @@ Numbers = NDArray[np.float64]
 Moved = NDArray[np.float32]
 Cells = NDArray[np.int_]
 
-# Frames that are compared, and shuffles. With 300 to 2000 frames, two of a hundred of the third study's
-# touches differ.
+# Frames compared, and shuffles. With 300 to 2000 frames, 2 % of the third study's touches differ.
 MOST_FRAMES, SHUFFLES = 500, 200
 # If rows run to and fro, cells move with those below them, read backwards, as with those beside them: 0.9 to
 # 1.0 times on generated pads, and below 0.5 times on the third study's, which does not.
@@ -42,8 +41,9 @@ FEW_STILL = 2
 CONVERTERS = (1023.0, 4095.0, 65535.0)
 ROUND = tuple(each * 10.0**power for power in range(-6, 7) for each in (1, 2, 5))
 # A press must move a cell by this many counts of the model's scale: less is detected, but not recognised. At
-# rest, the third study's cells move by up to 13.
-LEAST_PRESS = 16.0
+# rest, the third study's cells move by up to 13. Values that fall from the lower half, or rise from the upper
+# one, must move farther: by 20 to 33 in three of that study's recordings, as after a hand that has left.
+LEAST_PRESS, FIRM_PRESS = 16.0, 48.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +56,7 @@ class Placement:
     @property
     def cells(self) -> Cells:
         """The cells' numbers, laid out as the grid."""
-        rows, columns = self.described.rows, self.described.columns
-        return np.arange(rows * columns).reshape(rows, columns)
+        return np.arange(self.values.shape[1]).reshape(self.described.rows, self.described.columns)
 
 
 def thinned(numbers: Numbers) -> Numbers:
@@ -68,8 +67,7 @@ def thinned(numbers: Numbers) -> Numbers:
 def movement(values: Numbers) -> Moved:
     """Return how each cell steps from frame to frame, among the others, as ranks; each cell has unit length.
 
-    Ranks leave out what most cells share, and weigh a light touch like a firm one. A cell that never
-    steps shows nothing.
+    Ranks leave out what most cells share, and weigh a light touch like a firm one.
     """
     steps = np.diff(thinned(values), axis=0)
     ranks = [
@@ -113,26 +111,31 @@ def deviations(moved: Moved, cells: Cells) -> float:
 
 def objection(placed: Placement) -> str:
     """Say why a placement's cells are not a pressed pad; "" if they are proven to be one."""
-    described = placed.described
-    values = thinned(placed.values) * (-1 if described.invert else 1)
-    off = values - np.quantile(values, AT_REST, axis=0)
-    farthest = float(off.max())
-    if farthest * MAX_COUNT < LEAST_PRESS * described.full_scale:
-        change = f"{farthest:.4g} of {described.full_scale:g}"
-        return f"nothing presses the pad (it changes by {change}): press it firmly while I listen"
-    near = float(np.quantile(np.abs(values - np.median(values, axis=0)), NEAR_REST))
-    if farthest <= FARTHER * near or np.maximum(-off, 0).sum() > BOTH_WAYS * np.maximum(off, 0).sum():
-        return "its numbers never rest, or swing: let go between presses; print pressure, not changes"
+    if missing := _unpressed(placed.described, placed.values):
+        return missing
     moved = movement(placed.values)
     if deviations(moved, placed.cells) < SURE:
         return "neighbouring cells do not move together: press one place at a time, all over the pad"
     if runs_to_and_fro(moved, placed.cells):
         return "every other row seems to run backwards: print all rows in one direction"
     if _jumping(placed.values) > JUMPY:
-        return "its numbers jump: are two pads on the line, or cells not u8, u16, i16 or f32?"
-    still = values[0, np.ptp(values, axis=0) == 0]
-    if described.skip + described.tail and len(set(still.tolist())) > FEW_STILL:
+        return "its numbers jump: other rows and columns, two pads, or cells not u8, u16, i16 or f32?"
+    still = set(placed.values[0, np.ptp(placed.values, axis=0) == 0].tolist())
+    if placed.described.skip + placed.described.tail and len(still) > FEW_STILL:
         return "numbers among its cells never change: press all over the pad; print the cells in one piece"
+    return ""
+
+
+def _unpressed(described: PadFormat, values: Numbers, least: float = LEAST_PRESS) -> str:
+    """Say why the values do not look as if a hand pressed cells and let go; "" if they do."""
+    values = thinned(values) * (-1 if described.invert else 1)
+    off = values - np.quantile(values, AT_REST, axis=0)
+    farthest = float(off.max())
+    if farthest * MAX_COUNT < least * described.full_scale:
+        return f"nothing presses the pad (change: {farthest:.4g} of {described.full_scale:g}): press firmly"
+    near = float(np.quantile(np.abs(values - np.median(values, axis=0)), NEAR_REST))
+    if farthest <= FARTHER * near or np.maximum(-off, 0).sum() > BOTH_WAYS * np.maximum(off, 0).sum():
+        return "its numbers never rest, or swing: let go between presses; print pressure, not changes"
     return ""
 
 
@@ -152,9 +155,12 @@ def settled(placed: Placement) -> PadFormat:
     usual = CONVERTERS if (values == np.round(values)).all() else ROUND
     scale = min(next((each for each in usual if each >= largest), largest), top)
     rest = np.median(values, axis=0)[np.ptp(values, axis=0) > 0]
-    invert = bool(rest.size and np.median(rest) > scale / 2)
+    falls = bool(rest.size and np.median(rest) > scale / 2)
     rows, columns = placed.cells.shape[::-1] if _is_turned(placed) else placed.cells.shape
-    return replace(described, rows=rows, columns=columns, full_scale=scale, invert=invert)
+    described = replace(described, rows=rows, columns=columns, full_scale=scale)
+    likelier, other = (replace(described, invert=invert) for invert in (falls, not falls))
+    is_other = _unpressed(likelier, values) and not _unpressed(other, values, FIRM_PRESS)
+    return other if is_other else likelier
 
 
 def _is_turned(placed: Placement) -> bool:

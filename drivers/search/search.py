@@ -6,11 +6,11 @@ together most is proposed if a hand presses the pad and touchd's own parser read
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from operator import attrgetter
 
-import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from touchd.drivers.frame import MIN_RATE_HZ, Frame
 from touchd.drivers.pad.arrived import has_text, looks_like
@@ -34,8 +34,7 @@ EXPLAINED = 0.98
 MOSTLY = 0.9
 # The fastest rate of a format, and 5 % for the error of one that is measured over seconds.
 FASTEST_HZ = 525.0
-# Frames do not pause for longer: the third study's gaps are shorter, and the parser holds frames back for a
-# second and a half, until it knows what their clock counts.
+# The third study's gaps are shorter, and the parser holds frames back for 1.5 s, until it knows their clock.
 LONGEST_PAUSE_S = 2.0
 # What a preset and a description of the same pad have in common.
 MEANING = attrgetter("framing", "rows", "columns", "full_scale", "invert")
@@ -119,7 +118,7 @@ def search(chunks: Sequence[Chunk], grid: Grid | None) -> Finding:
     best = max(placements(chunks, grid), key=_fit, default=None) if grid else None
     if best is None:
         return Finding(None, _why_none_fits(data, seen or survey(chunks), grid), saw)
-    best = replace(best, described=settled(best))
+    best = Placement(settled(best), best.values)
     may_come = bool(missing := objection(best))
     described = best.described if may_come else _completed(best.described, chunks)
     missing = missing or _unexplained(best, described, chunks)
@@ -173,11 +172,10 @@ def _completed(described: PadFormat, chunks: Sequence[Chunk]) -> PadFormat:
     """Return a description with the clock and the checksum beside its cells, or a preset that says more."""
     more = [each for each in PRESETS.values() if MEANING(each) == MEANING(described)]
     if described.framing == "binary" and described.skip >= 4:
-        clocked = msgspec.structs.replace(described, clock=True, skip=described.skip - 4)
+        clocked = replace(described, clock=True, skip=described.skip - 4)
         described = clocked if _parsed(clocked, chunks)[0].clock.dates_frames else described
     if described.framing == "binary" and described.tail == 1:
-        kinds = ("values", "sum8", "xor8")
-        more += [msgspec.structs.replace(described, tail=0, checksum=kind) for kind in kinds]
+        more += [replace(described, tail=0, checksum=kind) for kind in ("values", "sum8", "xor8")]
     return next((each for each in more if _is_read(each, chunks)), described)
 
 

@@ -25,10 +25,7 @@ TextLine = tuple[list[float], str]
 
 
 class Printed(NamedTuple):
-    """Frames of equal lines: (frames, lines, numbers of a line).
-
-    skip: how many numbers lead each line. end: the text that ends a frame.
-    """
+    """Frames of equal lines (frames, lines, numbers), how many numbers lead a line, and what ends a frame."""
 
     numbers: Numbers
     skip: int
