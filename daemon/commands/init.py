@@ -30,7 +30,7 @@ from touchd.drivers.installed import program_name
 from touchd.drivers.numbers import within
 from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.pad.format_yaml import as_yaml
-from touchd.drivers.pad.names import LastingName, lasting_name
+from touchd.drivers.pad.names import LastingName, lasting_name, why_no_port
 from touchd.drivers.pad.port import Line, SensorError, at_baud, open_port
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.robot.session import RobotError
@@ -84,6 +84,8 @@ def main(arguments: Sequence[str]) -> int:
             f"no configuration was written; how to describe a pad: {program_name()} docs pads", style="bold"
         )
         return 1
+    if found is None and (portless := why_no_port()):
+        console.print(portless, style="yellow")
     # Without a pad, assume a fabric pad's rate, which is not the first of the usual rates.
     unseen = Found(options.port or DEFAULT_PORT, options.baud or SensorSettings().baud, None)
     port, baud, described = found or unseen

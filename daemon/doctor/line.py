@@ -15,6 +15,7 @@ from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, MIN_RATE_HZ, ROWS
 from touchd.drivers.pad.arrived import is_text, looks_like
 from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.format_yaml import as_yaml
+from touchd.drivers.pad.names import why_no_port
 from touchd.drivers.pad.pace import clock_by_ours, pace_of
 from touchd.drivers.pad.port import Line, SensorError, at_baud, check_port, forget_waiting, open_port
 from touchd.drivers.pad.protocol import parser_of
@@ -59,6 +60,8 @@ def check_opening(sensor: SensorSettings) -> tuple[Check, Line | None]:
         if error.kind in ("missing", "unusable"):
             others = ", ".join(sorted(port.device for port in comports()))
             advice += f"; there are {others}" if others else "; this machine has no serial port at all"
+            if portless := why_no_port():
+                advice += f"; {portless}"
         return Check("port", "to do", str(error), advice), None
     device = f" ({os.path.realpath(sensor.port)})" if os.path.islink(sensor.port) else ""
     return Check("port", "ok", f"{sensor.port}{device}, found and permitted"), opened

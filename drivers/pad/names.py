@@ -1,11 +1,17 @@
-"""The name of a serial port that stays the same: by the board's serial number, or by the USB socket."""
+"""The name of a serial port that stays the same: by the board's serial number, or by the USB socket.
+
+Also, which USB adapters have no port.
+"""
 
 import os
+import re
 from pathlib import Path
 from typing import NamedTuple
 
 BY_ID, BY_PATH = Path("/dev/serial/by-id"), Path("/dev/serial/by-path")
-TTY = Path("/sys/class/tty")
+TTY, USB = Path("/sys/class/tty"), Path("/sys/bus/usb/devices")
+# Adapters from USB to serial, as in the udev rule: CH340, CP210x, FTDI, PL2303.
+ADAPTERS = re.compile(r"1a86:(5523|752[23]|55d.)|10c4:ea(60|70|71)|0403:60(01|1[0145])|067b:2...")
 # Arduino and Teensy: the udev rule gives their boards the name /dev/touchd-pad.
 VENDORS_OF_THE_RULE = {"2341", "2a03", "16c0"}
 
@@ -54,6 +60,21 @@ def lasting_name(port: str, by_id: Path = BY_ID, by_path: Path = BY_PATH, tty: P
         )
         return LastingName(name, f"it stays with this socket; {why}")
     return LastingName(port, "the only name that it has")
+
+
+def why_no_port(usb: Path = USB) -> str:
+    """Say which USB adapter is plugged in but has no port, and what to do; "" if there is none.
+
+    brltty, which Ubuntu 22.04 and others install, takes some of them for a Braille display.
+    """
+    for device in sorted(usb.glob("*")):
+        kind = f"{_text(device / 'idVendor')}:{_text(device / 'idProduct')}"
+        if ADAPTERS.fullmatch(kind) and not any(device.glob("*:*/tty*")):
+            return (
+                f"the USB adapter {kind} is plugged in, but has no port; if `sudo dmesg` says that brltty "
+                "took it: sudo apt remove brltty, and plug it in again"
+            )
+    return ""
 
 
 def _link_to(device: str, folder: Path) -> str | None:

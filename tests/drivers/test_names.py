@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from touchd.drivers.pad.names import LastingName, lasting_name
+from touchd.drivers.pad.names import LastingName, lasting_name, why_no_port
 
 
 class Machine:
@@ -87,3 +87,14 @@ def test_a_port_without_another_name_keeps_its_own(machine: Machine, tmp_path: P
     chosen.symlink_to(machine.plug("ttyACM0", "1-1", "A17"))
     for port in (str(uart), str(chosen), "tcp://pad:4000", "/dev/touchd-none"):
         assert machine.name(port).port == port
+
+
+def test_an_adapter_without_a_port_is_named(machine: Machine) -> None:
+    usb = machine.root / "sys/devices/usb"
+    assert why_no_port(usb) == ""
+    machine.plug("ttyACM0", "1-1", "A17")
+    machine.plug("ttyUSB0", "1-2", "", "1a86 7523")
+    assert why_no_port(usb) == ""
+    (usb / "1-2/1-2:1.0/tty/ttyUSB0").rmdir()
+    (usb / "1-2/1-2:1.0/tty").rmdir()
+    assert "the USB adapter 1a86:7523 is plugged in, but has no port; " in why_no_port(usb)
