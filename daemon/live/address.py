@@ -54,7 +54,7 @@ def listen(settings: LiveSettings) -> socket.socket:
             listening = socket.create_server(address[:2], family=family, dualstack_ipv6=takes_both)
         except OSError as error:
             # systemd may start the service before the network gives this computer its address.
-            if error.errno != errno.EADDRNOTAVAIL or "INVOCATION_ID" not in os.environ:
+            if error.errno != errno.EADDRNOTAVAIL or "NOTIFY_SOCKET" not in os.environ:
                 raise
             listening = _listen_early(family, (str(address[0]), settings.port))
             log.warning("live page: this computer does not have the address %s yet; waiting for it", host)

@@ -177,10 +177,10 @@ def test_a_name_with_both_addresses_is_served_at_ipv4() -> None:
 def test_a_service_started_before_the_network_serves_its_address_later(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.delenv("INVOCATION_ID", raising=False)
+    monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
     with pytest.raises(LiveError, match="this computer has no such address"):
         listen(LiveSettings(host="192.0.2.1", port=0))
-    monkeypatch.setenv("INVOCATION_ID", "started by systemd")
+    monkeypatch.setenv("NOTIFY_SOCKET", "as systemd sets it for a service")
     with listen(LiveSettings(host="192.0.2.1", port=0)) as listening:
         assert listening.getsockname()[0] == "192.0.2.1"
     assert "this computer does not have the address 192.0.2.1 yet; waiting for it" in caplog.text
