@@ -19,6 +19,8 @@ PYTHON ?= $(shell for wanted in '$(HAS_QI)' ''; do for python in $(CANDIDATES); 
 define check-python
 for python in $(or $(PYTHON),$(CANDIDATES)); do \
   $$python -c '$(FITS)' 2>/dev/null || continue; \
+  $$python -c 'import sys; sys.exit(sys.maxsize < 2**32)' || { \
+    echo "$$python is for 32 bits; touchd needs a 64-bit system, since ONNX Runtime is there for no other"; exit 1; }; \
   $$python -c 'import ensurepip, venv' 2>/dev/null && exit 0; \
   echo "$$python cannot make a virtual environment; on Debian or Ubuntu: sudo apt install python3-venv"; exit 1; \
 done; \

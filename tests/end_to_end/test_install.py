@@ -124,6 +124,16 @@ def test_a_foreign_folder_is_never_deleted(make: Make, tmp_path: Path) -> None:
     assert files_in(tmp_path) == {"opt/touchd/thesis.tex"}
 
 
+def test_a_32_bit_system_is_refused_in_one_line(tmp_path: Path) -> None:
+    python = tmp_path / "python3"
+    python.write_text(f'#!/bin/sh\ncase "$2" in *maxsize*) exit 1;; esac\nexec {sys.executable} "$@"\n')
+    python.chmod(0o755)
+    done = ran(["make", "-C", str(ROOT), "install-program", f"PYTHON={python}", f"DESTDIR={tmp_path}/root"])
+    assert done.returncode != 0
+    assert f"{python} is for 32 bits; touchd needs a 64-bit system" in done.stdout
+    assert not (tmp_path / "root").exists()
+
+
 def test_an_upgrade_keeps_the_extras_that_are_installed(tmp_path: Path) -> None:
     python = tmp_path / "opt/touchd/bin/python"
     python.parent.mkdir(parents=True)
