@@ -17,6 +17,7 @@ PYTHON ?= $(shell for wanted in '$(HAS_QI)' ''; do for python in $(CANDIDATES); 
 
 # Fails with what to do where no Python fits.
 define check-python
+test "$$(uname -s)" = Linux || { echo "touchd runs on Linux alone; elsewhere, use a virtual machine or WSL 2"; exit 1; }; \
 for python in $(or $(PYTHON),$(CANDIDATES)); do \
   $$python -c '$(FITS)' 2>/dev/null || continue; \
   $$python -c 'import sys; sys.exit(sys.maxsize < 2**32)' || { \

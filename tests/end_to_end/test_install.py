@@ -134,6 +134,17 @@ def test_a_32_bit_system_is_refused_in_one_line(tmp_path: Path) -> None:
     assert not (tmp_path / "root").exists()
 
 
+def test_another_system_than_linux_is_refused_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "uname").write_text("#!/bin/sh\necho Darwin\n")
+    (tmp_path / "uname").chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+    done = ran(["make", "-C", str(ROOT), "install-program", f"DESTDIR={tmp_path}/root"])
+    assert done.returncode != 0
+    assert "touchd runs on Linux alone; elsewhere, use a virtual machine or WSL 2" in done.stdout
+
+
 def test_an_upgrade_keeps_the_extras_that_are_installed(tmp_path: Path) -> None:
     python = tmp_path / "opt/touchd/bin/python"
     python.parent.mkdir(parents=True)
