@@ -22,6 +22,7 @@ from touchd.daemon.doctor.hand import (
     find_without_asking,
     turned_with_a_hand,
 )
+from touchd.daemon.doctor.line import group_of_the_next_login
 from touchd.daemon.doctor.listening import listen as listen_to_frames
 from touchd.daemon.doctor.machine import check_robot, find_robot, robot_urls
 from touchd.daemon.parts import check_pad
@@ -181,6 +182,8 @@ def _find(console: Console, ports: Sequence[str], bauds: Sequence[int], grid: Gr
         unknown = unknown or found
     unknown = unknown or next(filter(None, (_poll(port, bauds[0]) for port in silent)), None)
     if unknown is None and closed:
+        if closed[0].kind == "denied" and (advice := group_of_the_next_login()):
+            raise SensorError("denied", f"{closed[0]}; {advice}")
         raise closed[0]
     for why in closed:
         console.print(str(why), style="yellow")

@@ -1,7 +1,10 @@
 """Checks of the pad's line: port, protocol, damage and frame rate."""
 
+import grp
 import os
+import pwd
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 
 import numpy as np
 from serial.tools.list_ports import comports
@@ -19,6 +22,7 @@ from touchd.drivers.pad.names import why_no_port
 from touchd.drivers.pad.pace import clock_by_ours, pace_of
 from touchd.drivers.pad.port import Line, SensorError, at_baud, check_port, forget_waiting, open_port
 from touchd.drivers.pad.protocol import parser_of
+from touchd.drivers.pad.why_not import SERIAL_GROUPS
 from touchd.drivers.search.listen import USUAL_BAUDS, Chunk
 from touchd.drivers.search.search import Finding, search
 
@@ -47,6 +51,17 @@ ADVICE_FOR_BYTES = {
 }
 
 
+def group_of_the_next_login() -> str:
+    """Say that this user is in a group that may open ports, but this session is not yet; "" if not so."""
+    with suppress(KeyError):
+        user, own = pwd.getpwuid(os.geteuid()).pw_name, {os.getegid(), *os.getgroups()}
+        for group in grp.getgrall():
+            if group.gr_name in SERIAL_GROUPS and user in group.gr_mem and group.gr_gid not in own:
+                since = f"{user} is in the group {group.gr_name}, but this session began before that"
+                return f"{since}: log out of the desktop and in again, or restart the computer"
+    return ""
+
+
 def check_opening(sensor: SensorSettings) -> tuple[Check, Line | None]:
     """Open the port; report the device behind a link, or why opening failed and which ports there are."""
     try:
@@ -56,7 +71,7 @@ def check_opening(sensor: SensorSettings) -> tuple[Check, Line | None]:
         if error.kind == "busy" and service_runs():
             advice = "to look at the pad too: sudo systemctl stop touchd, and ask the doctor again"
             return Check("port", "not checked", "the service touchd reads it", advice), None
-        advice = ADVICE_FOR_PORT[error.kind]
+        advice = (error.kind == "denied" and group_of_the_next_login()) or ADVICE_FOR_PORT[error.kind]
         if error.kind in ("missing", "unusable"):
             others = ", ".join(sorted(port.device for port in comports()))
             advice += f"; there are {others}" if others else "; this machine has no serial port at all"

@@ -1,9 +1,13 @@
 """The doctor's checks of the pad's line: format, damage, rate."""
 
+import grp
+import os
+import pwd
 import socket
 import termios
 from collections.abc import Callable
 from functools import partial
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -18,13 +22,13 @@ from rigs.wait import once_in_three
 from touchd.daemon.config import SensorSettings
 from touchd.daemon.doctor import line
 from touchd.daemon.doctor.check import Check
-from touchd.daemon.doctor.line import check_damage, check_protocol, check_rate
+from touchd.daemon.doctor.line import check_damage, check_opening, check_protocol, check_rate
 from touchd.daemon.doctor.listening import Sample, listen
 from touchd.drivers.fakes.encode import encode_frame
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import Frame
 from touchd.drivers.pad.format import PRESETS, PadFormat
-from touchd.drivers.pad.port import open_port
+from touchd.drivers.pad.port import SensorError, open_port
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.search.search import Finding, search
 
@@ -47,6 +51,21 @@ def test_a_line_without_frames_is_recognised(
     assert check.verdict == "to do"
     assert found in check.found
     assert advice in check.advice
+
+
+def test_a_group_that_waits_for_the_next_login_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    user = pwd.getpwuid(os.geteuid()).pw_name
+    denied = SensorError("denied", "no permission to open /dev/ttyACM0: add the user to the group dialout")
+    monkeypatch.setattr(line, "open_port", Mock(side_effect=denied))
+    monkeypatch.setattr(line, "check_port", Mock())
+    for members, advice in (
+        ([user], f"{user} is in the group dialout, but this session began before that: log out of the"),
+        ([], "after that: log out and in again"),
+    ):
+        group = grp.struct_group(("dialout", "x", 4_000_000, members))
+        monkeypatch.setattr(grp, "getgrall", lambda group=group: [group])
+        check, _ = check_opening(SensorSettings(port="/dev/ttyACM0"))
+        assert check.advice.startswith(advice)
 
 
 def test_settings_against_the_proven_format_are_named() -> None:
