@@ -33,6 +33,9 @@ def complain(error: Exception) -> int:
         what = f"{error.filename}: {error.strerror}; give another path, or put sudo before the command"
     elif not isinstance(error, TouchdError):
         what = " ".join(f"internal error: {type(error).__name__}: {error}; --debug shows the trace".split())
+        if os.environ.get("PYTHONPATH"):
+            # Labs set it for ROS or NAOqi; it puts other versions of libraries before those installed.
+            what += "; PYTHONPATH is set: try again after `unset PYTHONPATH`"
         code = OUR_MISTAKE
     sys.stderr.write(f"touchd: {one_line(what)}\n")
     return code

@@ -205,11 +205,20 @@ def test_an_internal_error_is_one_line_and_exit_1(
         raise error
 
     monkeypatch.setattr(cli, "_run", fail)
+    monkeypatch.delenv("PYTHONPATH", raising=False)
     assert cli.main(["run"]) == 1
     said = f"internal error: {type(error).__name__}: {error}; --debug shows the trace"
     assert capsys.readouterr().err == f"touchd: {said}\n"
     with pytest.raises(type(error)):
         cli.main(["run", "--debug"])
+
+
+def test_a_pythonpath_that_may_be_the_cause_is_named(tmp_path: Path) -> None:
+    (tmp_path / "yaml.py").write_text("")
+    done = ran([*TOUCHD, "run"], env={**os.environ, "PYTHONPATH": str(tmp_path)})
+    assert done.returncode == 1
+    assert "AttributeError: module 'yaml' has no attribute" in done.stderr
+    assert done.stderr.endswith("; PYTHONPATH is set: try again after `unset PYTHONPATH`\n")
 
 
 @pytest.mark.parametrize(
