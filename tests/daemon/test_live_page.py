@@ -738,3 +738,21 @@ def test_it_reconnects_when_the_daemon_returns(played: WatchedPage, tmp_path: Pa
         wait_for(lambda: "pat" in listed(chrome))
         wait_for(lambda: text_of(chrome, "#banner") == "")
         wait_for(lambda: not is_stale(chrome))
+
+
+def test_a_browser_that_cannot_run_the_page_is_told_so(chrome: Chrome) -> None:
+    height = "return document.getElementById('unable')?.getBoundingClientRect().height ?? -1"
+    with serving() as served:
+        page = f"http://127.0.0.1:{served.port}/"
+        chrome.execute_cdp_cmd("Network.enable", {})
+        try:
+            # As where a module has syntax that the browser does not know.
+            chrome.execute_cdp_cmd("Network.setBlockedURLs", {"urls": ["*/link.js"]})
+            chrome.get(page)
+            assert chrome.execute_script(height) == 0
+            wait_for(lambda: chrome.execute_script(height) > 20)
+            assert text_of(chrome, "#unable").endswith("it is too old, or JavaScript is off.")
+        finally:
+            chrome.execute_cdp_cmd("Network.setBlockedURLs", {"urls": []})
+        chrome.get(page)
+        wait_for(lambda: chrome.execute_script(height) == -1)

@@ -18,6 +18,7 @@ const WATCH_MS = 250;
 const WORDS_MS = 1000;
 
 const $ = (id) => document.getElementById(id);
+$("unable").remove();
 let store = new Store();
 let stores = new Map();
 const pads = new PadSwitch($("pads"), (name) => {
