@@ -1,6 +1,10 @@
 """Asks a pad for a frame that it sends only when it is asked."""
 
+import os
 import time
+from contextlib import suppress
+
+import serial
 
 from touchd.drivers.pad.binary import BinaryFrames
 from touchd.drivers.pad.parser import FrameParser
@@ -17,4 +21,10 @@ def ask(opened: Line, parser: FrameParser) -> None:
     # A late reply to the previous poll must not become half of the next.
     opened.reset_input_buffer()
     parser.ask(time.monotonic())
-    opened.write(bytes.fromhex(parser.format.poll))
+    poll = bytes.fromhex(parser.format.poll)
+    if type(opened) is not serial.Serial:
+        opened.write(poll)
+        return
+    # pyserial's own write waits, without end, for a board that does not read.
+    with suppress(BlockingIOError):
+        os.write(opened.fileno(), poll)

@@ -313,6 +313,23 @@ def test_a_polled_pad_is_polled_for_each_frame(described: PadFormat) -> None:
         assert sum(steps_s) / len(steps_s) > 0.95 / described.rate_hz
 
 
+def test_a_polled_pad_that_reads_nothing_is_silent_until_it_does() -> None:
+    described = POLLED[0]
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    os.set_blocking(slave, False)
+    with suppress(BlockingIOError):
+        while True:
+            os.write(slave, bytes.fromhex(described.poll))
+    with sensing(os.ttyname(slave), parser_of(described)) as queue:
+        assert "no data for 0.5 s" in next_state(queue).reason
+        pad = PolledPad(described, lambda: os.read(master, 64), lambda data: os.write(master, data))
+        assert next_state(queue).state == "up"
+    os.close(slave)
+    pad.join()
+    os.close(master)
+
+
 def test_a_late_reply_does_not_answer_the_next_poll() -> None:
     described = msgspec.structs.replace(POLLED[0], rate_hz=500)
     parser = parser_of(described)
