@@ -3,6 +3,7 @@
 Only `touchd demo` and `touchd fake-pad` serve such a page. Messages are bounded in size, number and values.
 """
 
+import math
 import threading
 import time
 from collections.abc import Hashable
@@ -43,13 +44,17 @@ _decode = msgspec.json.Decoder(_Touch).decode
 
 
 class Touching:
-    """The pointers of all viewers. Thread-safe."""
+    """The pointers of all viewers. Thread-safe.
+
+    near_s: when one was last at the pad, pressing or about to.
+    """
 
     MOST_MESSAGE_BYTES = 512
     # Ten fingers with long numbers, 60 times a second.
     BYTES_PER_S = 30_000.0
 
     def __init__(self) -> None:
+        self.near_s = -math.inf
         self._lock = threading.Lock()
         self._pressing: dict[Hashable, tuple[float, dict[Hashable, Pointer]]] = {}
         self._allowance: dict[Hashable, tuple[float, float]] = {}
@@ -73,6 +78,7 @@ class Touching:
             for spot in touch.at
         }
         with self._lock:
+            self.near_s = now_s
             self._pressing[viewer] = now_s, pressed
         return ""
 

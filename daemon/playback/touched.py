@@ -25,7 +25,7 @@ from touchd.drivers.fakes.hand import SimulatedHand
 from touchd.drivers.fakes.pointers import PressingHands
 from touchd.drivers.frame import COLUMNS, DEFAULT_PAD, ROWS, Counts, Frame
 
-# The simulated hand resumes when nobody has touched the page for this long.
+# The simulated hand resumes when no pointer has been at the pad for this long.
 ALONE_S = 20.0
 RETRY_S = 0.2
 STOP_S = 1.0
@@ -51,17 +51,14 @@ class TouchedPad:
         self._touching = touching
         self._hand = hand
         self._on_frame = on_frame
-        self._touched_s = -np.inf
 
     def scan(self, sensor_ms: int) -> Counts:
         """Return the next frame of counts."""
         pointers = self._touching.pointers() if self._touching else {}
-        now_s = time.monotonic()
-        if pointers:
-            self._touched_s = now_s
         pressed = self._hands.frame(pointers)
         if self._hand is not None:
-            pressed = pressed + self._hand.frame(is_wanted=now_s - self._touched_s > ALONE_S)
+            near_s = self._touching.near_s if self._touching else -np.inf
+            pressed = pressed + self._hand.frame(is_wanted=time.monotonic() - near_s > ALONE_S)
         counts = self._fabric.read(pressed.reshape(ROWS, COLUMNS))
         self._on_frame(counts, sensor_ms)
         return counts

@@ -68,6 +68,16 @@ FAST_SCREEN = """
   });
 """
 
+# Moves a mouse onto a pad without pressing it; returns what the page sent.
+COME_NEAR = """
+  const done = arguments[0];
+  import('/touch.js').then(({ Touch }) => {
+    const square = document.createElement('div');
+    new Touch(square, document.createElement('p'), () => 'hand', done).use(true);
+    square.dispatchEvent(new PointerEvent('pointerenter', { pointerId: 1, pointerType: 'mouse' }));
+  });
+"""
+
 # Moves a pointer along places, staying stepMs at each; null lifts it.
 FOLLOW_ROUTE = """
   const [places, stepMs, done] = arguments;
@@ -429,6 +439,15 @@ def test_the_simulated_hand_waits_while_somebody_touches(monkeypatch: pytest.Mon
     time.sleep(0.4)
     pad.scan(0)
     assert begun == ["notouch", "rub", "notouch"]
+
+
+def test_the_simulated_hand_leaves_as_a_mouse_comes_near(fake_pad: FakePad) -> None:
+    rng, touching = np.random.RandomState(1), Touching()
+    pad = TouchedPad(rng, touching, SimulatedHand(repeated(["constant"], 3.0, rng)))
+    pressed = [int(pad.scan(0).sum()) for _ in range(150)]
+    assert touching.take("viewer", fake_pad.chrome.execute_async_script(COME_NEAR)) == ""
+    left = [int(pad.scan(0).sum()) for _ in range(150)]
+    assert max(pressed) > 3 * max(left[10:])
 
 
 def test_many_viewers_pointers_make_no_frame_late() -> None:

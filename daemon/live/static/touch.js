@@ -26,6 +26,8 @@ export class Touch {
     this.#invitation = invitation;
     this.#size = size;
     this.#send = send;
+    // The simulated hand leaves as a mouse comes near, so that it is no part of the first touch.
+    square.addEventListener("pointerenter", () => this.#isTouchable && this.#soon());
     square.addEventListener("pointerdown", (event) => this.#down(event));
     square.addEventListener("pointermove", (event) => this.#move(event));
     for (const end of ["pointerup", "pointercancel", "lostpointercapture"]) {
