@@ -77,7 +77,7 @@ class SensorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
         has_mark = described.first_bytes or described.poll or described.framing != "binary"
         if not has_mark and not is_udp:
             raise ValueError(
-                "a binary format needs a header, a footer or a poll: nothing else tells frames apart"
+                "a binary format needs a header, a footer or a poll; lines of numbers need framing: text"
             )
 
     @property

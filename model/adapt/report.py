@@ -16,10 +16,10 @@ WIDTH = 80
 NAME_WIDTH = 20
 NO_NAMES: Mapping[str, str] = {}
 MEASURED: dict[LeftOut, str] = {
-    "participants": "Right answers in percent. Each participant is answered by a model adapted to the "
-    "others: this is how well it will do on people it was not adapted to.",
-    "recordings": "Right answers in percent. Each recording is answered by a model adapted to others of the "
-    "same participant: this is how well it will do on this person.",
+    "participants": "Right answers in percent, several a recording. Each participant is answered by a model "
+    "adapted to the others: this is how well it will do on people it was not adapted to.",
+    "recordings": "Right answers in percent, several a recording. Each recording is answered by a model "
+    "adapted to others of the same participant: this is how well it will do on this person.",
     "nothing": "Adapted to all of them. No figures: there are too few recordings to hold any out.",
 }
 
