@@ -1,6 +1,7 @@
 """`touchd fake-pad`: a simulated pad behind a pseudo-terminal, to try every command without hardware."""
 
 import argparse
+import shlex
 import sys
 import threading
 from collections.abc import Sequence
@@ -59,7 +60,8 @@ def main(arguments: Sequence[str]) -> int:
     options = parsed(parser(), arguments)
     rng = RandomState()
     hand = SimulatedHand(repeated(options.gestures, options.every, rng))
-    encode = encoder_for(settings_of(options).settings.sensor)
+    found = settings_of(options)
+    encode = encoder_for(found.settings.sensor)
     fabric = Fabric(rng)
 
     def scan(sensor_ms: int) -> Counts:
@@ -79,7 +81,8 @@ def main(arguments: Sequence[str]) -> int:
             scan = TouchedPad(rng, page.touching, hand, page.show_frame).scan
             sys.stdout.write(f"live page: {' '.join(urls_of(live, listening.getsockname()[1]))}\n")
         port = closing.enter_context(LivePort(scan, encode))
-        sys.stdout.write(f"pad: {port.path}\nread it with: {program_name()} run --port {port.path}\n")
+        file = f" -c {shlex.quote(str(found.file))}" if found.file else ""
+        sys.stdout.write(f"pad: {port.path}\nread it with: {program_name()} run{file} --port {port.path}\n")
         sys.stdout.flush()
         threading.Event().wait()
     return 0

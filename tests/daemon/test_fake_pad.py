@@ -129,6 +129,18 @@ def test_the_simulated_hand_does_what_it_is_told() -> None:
         assert program.wait(WITHIN_S) == 0
 
 
+def test_the_printed_command_reads_a_pad_of_another_format(tmp_path: Path) -> None:
+    file = tmp_path / "other pad.yaml"
+    file.write_text("sensor: {format: velostat}")
+    with Program(*TOUCHD, "fake-pad", "-c", str(file)) as program:
+        command = next(line for line in program.stdout if line.startswith("read it with: "))
+        arguments = shlex.split(command.partition(" run ")[2])
+        with Program(*TOUCHD, "run", "--json", *arguments) as daemon:
+            assert json.loads(daemon.stdout.readline())["state"] == "up"
+            daemon.kill()
+        program.kill()
+
+
 def test_a_fake_pad_needs_no_extra() -> None:
     code = "cli.main(['fake-pad', '-c', '/dev/null'])"
     with Program(sys.executable, "-c", WITHOUT_EXTRAS + code) as program:
