@@ -87,7 +87,7 @@ function remarks({ scene, reported, touch }, said, previous) {
   const telling = isReported ? `told ${whom} at` : `sure enough to tell ${whom} at`;
   const remark = told && (isReported || answer.gesture !== "uncertain") ? `${telling} ${seconds(saidAt(told))}` : `not sure enough to tell ${whom}`;
   const parts = previous ? [make("b", "", `↻ before: ${nameOf(previous.gesture)}`), " · "] : [];
-  const degraded = answer.degraded ? " · frames were lost" : "";
+  const degraded = answer.degraded ? " · too few frames" : "";
   return [...parts, remark, degraded];
 }
 
