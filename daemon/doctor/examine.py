@@ -88,4 +88,5 @@ def _examine_pad(
         rest = np.median(sample.counts(), axis=0)
         say(f"Press the pad's top left corner with a finger, within {PRESS_S:g} s ...")
         parser = parser_of(sensor.described)
-        yield check_orientation(listen(opened, parser, PRESS_S, enough=lambda f: is_pressed(f, rest)), rest)
+        pressed = listen(opened, parser, PRESS_S, enough=lambda frame: is_pressed(frame, rest))
+        yield check_orientation(pressed, rest, settings)

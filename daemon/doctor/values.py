@@ -36,8 +36,7 @@ def check_rest(sample: Sample, settings: Settings) -> Check:
     figures = {"rest_counts": round(float(level.mean()), 1), "highest_rest_counts": float(level.max())}
     found = f"{level.mean():.1f} counts a taxel, {level.max():.0f} at most"
     if level.mean() > WRONG_WAY_COUNTS:
-        other = str(not settings.sensor.described.invert).lower()
-        return Check("rest", "to do", f"{found}: upside down", f"set sensor.invert: {other}", figures)
+        return Check("rest", "to do", f"{found}: upside down", _turned_over(settings), figures)
     # A pad may rest high everywhere, and unevenly; an object raises some taxels far above the median.
     lies = level > LOADED_COUNTS + 2 * np.median(level)
     if lies.any():
@@ -110,11 +109,14 @@ def is_pressed(frame: Frame, rest: NDArray[np.float64]) -> bool:
     return bool((frame.pressure - rest).max() >= PRESSED_COUNTS)
 
 
-def check_orientation(sample: Sample, rest: NDArray[np.float64]) -> Check:
-    """Report where a press on the top left corner shows, in the sample's last frame."""
+def check_orientation(sample: Sample, rest: NDArray[np.float64], settings: Settings) -> Check:
+    """Report where a press on the top left corner shows, in the sample's last frame, or that values fall."""
     if sample.broke_off:
         return Check("orientation", "to do", sample.broke_off, "try another cable")
     if not sample.frames or not is_pressed(sample.frames[-1], rest):
+        if sample.frames and (rest - sample.counts()).max() >= PRESSED_COUNTS:
+            found = "the values fall where the pad is pressed: upside down"
+            return Check("orientation", "to do", found, _turned_over(settings))
         return Check("orientation", "not checked", "no corner was pressed", "run touchd doctor again")
     pressure = sample.frames[-1].pressure - rest
     row, column = np.unravel_index(int(pressure.argmax()), pressure.shape)
@@ -127,6 +129,11 @@ def check_orientation(sample: Sample, rest: NDArray[np.float64]) -> Check:
     turn = 90 if row >= ROWS // 2 else 270
     advice = f"turn the pad, or add {turn} to sensor.turn; if it is mirrored, swap its plugs instead"
     return Check("orientation", "to do", found, advice)
+
+
+def _turned_over(settings: Settings) -> str:
+    """Return the advice for a pad that is read upside down."""
+    return f"set sensor.invert: {str(not settings.sensor.described.invert).lower()}"
 
 
 def _places(mask: NDArray[np.bool_]) -> str:

@@ -93,7 +93,7 @@ def test_the_pressed_corner_tells_how_the_pad_lies(row: int, column: int, verdic
     counts[-10:, row, column] += 300
     pressed = sample(counts)
     assert is_pressed(pressed.frames[-1], rest)
-    check = check_orientation(pressed, rest)
+    check = check_orientation(pressed, rest, SETTINGS)
     assert check.verdict == verdict
     assert advice in check.advice
 
@@ -105,8 +105,16 @@ def test_not_pressing_the_corner_is_no_fault() -> None:
         parser = parser_of(SETTINGS.sensor.described)
         rest = np.median(counts[:100], axis=0)
         found = listen(opened, parser, 15.0, enough=lambda frame: is_pressed(frame, rest))
-    assert check_orientation(found, rest).verdict == "ok"
+    assert check_orientation(found, rest, SETTINGS).verdict == "ok"
     untouched = sample(resting(1.0))
     rest = np.median(untouched.counts(), axis=0)
-    assert check_orientation(untouched, rest).verdict == "not checked"
-    assert check_orientation(replace(untouched, broke_off="unplugged"), rest).found == "unplugged"
+    assert check_orientation(untouched, rest, SETTINGS).verdict == "not checked"
+    assert check_orientation(replace(untouched, broke_off="unplugged"), rest, SETTINGS).found == "unplugged"
+
+
+def test_values_that_fall_under_the_hand_are_upside_down() -> None:
+    counts = resting(1.0) + 500
+    rest = np.median(counts, axis=0)
+    counts[-10:, 0, 0] -= 300
+    check = check_orientation(sample(counts), rest, SETTINGS)
+    assert (check.verdict, check.advice) == ("to do", "set sensor.invert: false")
