@@ -20,7 +20,7 @@ from touchd.daemon.strict_yaml import ConfigError as ConfigError
 from touchd.daemon.strict_yaml import convert
 from touchd.daemon.tracker.tracker import TouchSettings
 from touchd.drivers.errors import TouchdError, written_out
-from touchd.drivers.frame import DEFAULT_PAD
+from touchd.drivers.frame import DEFAULT_PAD, ROWS
 from touchd.drivers.pad.format import PRESETS, PadFormat, Side
 from touchd.drivers.robot.session import RobotSettings
 
@@ -194,7 +194,8 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             limits = {"final_above": FINAL_ABOVE_ON_ANOTHER_PAD, "released_above": decision.speak_above}
             unset = {name: limit for name, limit in limits.items() if getattr(decision, name) is None}
             decision = msgspec.structs.replace(decision, **unset)
-        return PipelineSettings(touch=self.touch, decision=decision, size_mm=self.sensor.size_mm)
+        size_mm, is_finer = self.sensor.size_mm, max(self.sensor.described.used) > ROWS
+        return PipelineSettings(touch=self.touch, decision=decision, size_mm=size_mm, is_finer=is_finer)
 
 
 def load(path: Path) -> Settings:

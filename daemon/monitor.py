@@ -74,12 +74,8 @@ SATURATED_TAXELS = 16
 # are; on a pad of less than 40 Hz a pat looks the same.
 JUMP_COUNTS, GARBLED_COUNTS, GARBLED_SHARE, GARBLED_HZ = 40, 100, 0.35, 40.0
 # Values that jump, on a pad too slow to tell them from a pat, keep a touch open; so does a load that moves.
-# HAART's longest touches take ten seconds.
 LONG_TOUCH_S = 60.0
-LONG_TOUCH = (
-    "a touch has gone on for a minute; if no hand is there, does something lie on the pad, or do its values "
-    "jump?"
-)
+LONG_TOUCH = "a touch has gone on for a minute; if no hand is there, what lies on the pad, or do values jump?"
 # Taxels of one broken wire do not fall still in the same frame; report once all have.
 SETTLE_S = 2.0
 

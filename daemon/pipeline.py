@@ -28,13 +28,7 @@ from touchd.daemon.feel import FeelMeter
 from touchd.daemon.monitor import REST_FRAMES, PadMonitor
 from touchd.daemon.staleness import Staleness
 from touchd.daemon.tracker.network_check import Question
-from touchd.daemon.tracker.tracker import (
-    SETTLED_FRAMES,
-    Onset,
-    Release,
-    TouchSettings,
-    TouchTracker,
-)
+from touchd.daemon.tracker.tracker import SETTLED_FRAMES, Onset, Release, TouchSettings, TouchTracker
 from touchd.drivers.errors import one_line
 from touchd.drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, NO_TOUCH, Frame, SensorState
 from touchd.drivers.pad.grid import GridFrame, Ring
@@ -53,8 +47,7 @@ LIFT_OFF_FRAMES = 13
 # says much; without it, 11 instead of 33 of 35 single strokes are named. If unsure, it waits for the second
 # number, half a second without contact: at the touch's end, answers come 0.1 to 0.2 s later on average.
 AFTER_FRAMES, UNSURE_FRAMES = LIFT_OFF_FRAMES, 27
-# While there are viewers, the network is asked every third frame.
-SHOWN_STRIDE_FRAMES = 3
+SHOWN_STRIDE_FRAMES = 3  # while there are viewers
 # Frames of a touch given to the network at once. A step of nine frames takes 0.25 ms longer than a step of
 # one; steps of nine take half the processor time of steps of three.
 FEED_FRAMES = 9
@@ -68,11 +61,12 @@ Viewers: TypeAlias = Callable[[], Sequence[Callable[[LivePrediction], None]]]
 
 
 class PipelineSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Everything between a frame and an event. size_mm: of the 8x8 taxels, height and width."""
+    """Everything between a frame and an event. size_mm: of the 8x8 taxels. is_finer: a pad of more taxels."""
 
     touch: TouchSettings = TouchSettings()
     decision: DecisionSettings = DecisionSettings()
     size_mm: tuple[float, float] | None = None
+    is_finer: bool = False
 
 
 @dataclass(frozen=True)
@@ -90,8 +84,7 @@ class Touch:
     due: the stages still to come, with the length at which each is answered. off_frames: since the last
     contact. answered_release: the length at which the touch was answered because the hand had left. outputs:
     the model's probabilities by length. state: the model's, after the touch's first `fed` frames. recent: the
-    model's outputs on the latest windows after the final answer. next_ongoing: the length from which the next
-    one is due.
+    model's latest outputs after the final answer. next_ongoing: the length at which the next one is due.
     """
 
     number: int
@@ -144,7 +137,7 @@ class Pipeline:
         # When a touch ends, its last frame is already older by the quiet that ended it.
         self._stale_s = settings.decision.stale_s + settings.touch.quiet_s
         self._model = model
-        self._tracker = TouchTracker(settings.touch, _question(model))
+        self._tracker = TouchTracker(settings.touch, _question(model), is_finer=settings.is_finer)
         # The longest window, and twice what settles before a touch ends.
         self._ring = Ring(self._final_frames + 2 * SETTLED_FRAMES, first_index)
         self._numbers = itertools.count(1)

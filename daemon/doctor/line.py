@@ -92,7 +92,7 @@ def check_protocol(
     described = sensor.described
     if sample.frames:
         found = f"{described}{at_baud(sensor.port, sensor.baud)}, as configured"
-        rows, columns = described.rows - 2 * described.crop, described.columns - 2 * described.crop
+        rows, columns = described.used
         if described.crop and (rows < ROWS or columns < COLUMNS):
             found = f"{found}, of which only the inner {rows}x{columns} are used"
             return Check("protocol", "warning", found, "set sensor.crop: 0 if no cell is to be left out")

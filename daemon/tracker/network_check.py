@@ -24,9 +24,8 @@ DOUBT = 0.2
 # On a pad unlike those it learned from, as under mains hum, p_no_touch is lower at rest. The limits are then
 # this share of it. Below the second constant, the network does not know the pad at rest and is ignored.
 REST_SHARE, KNOWN_REST = 0.6, 0.2
-# The network knows a pad well if p_no_touch at rest is at least the first constant and follows from at least
-# the second number of answers. HAART's and the robot's is 0.8 to 0.9; a firm pad's first answers may be too.
-WELL_KNOWN_REST, WELL_KNOWN_ANSWERS = 0.7, 4
+# It knows a pad from this many answers at rest on. A firm pad's first answers may be misleadingly high.
+KNOWN_PAD_ANSWERS = 4
 # Shares by which p_no_touch at rest follows higher and lower answers: more slowly down, since they may come
 # from an unnoticed touch.
 RISES, FALLS = 0.1, 0.05
@@ -36,10 +35,10 @@ SAME_COUNTS, SAME_PEAK_COUNTS = 13.0, 2.0
 
 
 class NetworkCheck:
-    """Compares the network's answers with those at rest. p_no_touch: None if no network knows "notouch"."""
+    """Compares answers with those at rest. p_no_touch: None if unknown. is_finer: a pad of more taxels."""
 
-    def __init__(self, p_no_touch: PNoTouch | None) -> None:
-        self._p_no_touch = p_no_touch
+    def __init__(self, p_no_touch: PNoTouch | None, is_finer: bool = False) -> None:
+        self._p_no_touch, self._is_finer = p_no_touch, is_finer
         self._at_rest, self._answers_at_rest = 0.0, 0
         self._answers: deque[float] = deque(maxlen=ANSWERS)
         # The last answer at rest that saw no touch, and the frames it was about.
@@ -55,9 +54,9 @@ class NetworkCheck:
         return self._at_rest >= KNOWN_REST
 
     @property
-    def knows_well(self) -> bool:
-        """Whether the network knows this pad as well as those that it learned from."""
-        return self._at_rest >= WELL_KNOWN_REST and self._answers_at_rest >= WELL_KNOWN_ANSWERS
+    def knows_pad(self) -> bool:
+        """Whether the network can tell a hand from what it has left; it has learned from no finer pad."""
+        return not self._is_finer and self.knows_rest and self._answers_at_rest >= KNOWN_PAD_ANSWERS
 
     def forget_rest(self) -> None:
         """Forget the answers at rest: it may be another pad."""

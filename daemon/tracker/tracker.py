@@ -68,9 +68,8 @@ FIRM_COUNTS = 60.0
 # A baseline shift is over in two frames; a hand goes on moving, by this many counts summed over the pad.
 STEP_FRAMES = 2
 MOVED_COUNTS = 6.0
-# 4.5 times that movement within a third of a second begins a touch; later it may be a body that breathes.
-# Without this rule, 1 % more touches of the robot are missed.
-SURE_MOVEMENT = 4.5
+# 4.5 times that within a third of a second is a touch: without this rule, 1 % more of the robot's are missed.
+SURE_MOVEMENT = 4.5  # later, it may be a body that breathes
 # Then the network decides: about moving contact six times a second, about still contact once, after a second.
 ASK_MOVING_FRAMES = 9
 # A quarter of a second after a rise has gone, the network is asked whether it was a touch. Without this rule,
@@ -82,15 +81,13 @@ GONE_FRAMES = 13
 # this share of the touch's highest half second, less half a light hand. Without this rule, a firm pad's
 # touches are merged over six times as many pauses.
 LOW_SHARE = 0.5
-# It rises if it exceeds its lowest by this share of the same level, and by more than noise. With 0.1 and 6,
-# two more pauses of the firm pad at 12 Hz are merged, and one touch fewer of the soft pad is split, or six if
-# the network never met that pad. Light contact that rises by this share in a second does not become rest.
-RISE_SHARE, RISE_COUNTS = 0.2, 10.0
-# What a light hand makes. The network is asked about quiet frames with less, on a pad that it knows well
-# about others too.
+# It rises if it exceeds its lowest by this share of the same level, and by more than noise. With 0.1, three
+# more of the firm pad's pauses are merged. Light contact that rises so in a second does not become rest.
+RISE_SHARE, RISE_COUNTS = 0.15, 10.0
+# What a light hand makes. The network is asked about quiet frames with less; if it knows the pad, about all.
 LIGHT_COUNTS = 80.0
-# On a pad that the network knows well, it decides what contact remains, unless the touch was a hug: without
-# this, 3 % more of the robot's touches are split. Elsewhere what a hug leaves looks like a hand to it.
+# On a pad that the network knows, it decides what contact remains, unless the touch was a hug: without this,
+# 3 % more of the robot's touches are split. Elsewhere what a hug leaves looks like a hand to it.
 HUG_COUNTS = 1000.0
 # A taxel is still if the means of its half seconds differ by at most this, its sway, or what noise explains,
 # and its noise is at most what an untouched pad may have or a share of the load: a load with 2 % of noise is
@@ -101,9 +98,8 @@ STILL_SPREADS = 0.8
 LOAD_NOISE = 0.03
 # Low and still for two thirds of a second, a touch is over, unless the network sees a light one in them.
 STILL_FRAMES = 36
-# A load that has kept still for ten seconds becomes rest. A touch ends after ten minutes.
-SETTLED_FRAMES = round(10 * FRAME_RATE_HZ)
-LONGEST_FRAMES = round(600 * FRAME_RATE_HZ)
+SETTLED_FRAMES = round(10 * FRAME_RATE_HZ)  # a load that has kept still as long becomes rest
+LONGEST_FRAMES = round(600 * FRAME_RATE_HZ)  # a touch ends
 
 
 class TouchSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -205,17 +201,19 @@ Change: TypeAlias = Onset | Release | None
 class TouchTracker:
     """Takes the pad's frames one by one and returns where touches begin and end.
 
-    p_no_touch: None if no network knows "notouch". baseline: what is known of the untouched pad; it does not
-    change during a touch.
+    p_no_touch: None if no network knows "notouch". is_finer: whether the pad has more taxels than 8x8.
+    baseline: what is known of the untouched pad; it does not change during a touch.
     """
 
-    def __init__(self, settings: TouchSettings, p_no_touch: Question | None = None) -> None:
+    def __init__(
+        self, settings: TouchSettings, p_no_touch: Question | None = None, *, is_finer: bool = False
+    ) -> None:
         self.baseline = Baseline()
         self._settings = settings
         self._quiet_frames = round(settings.quiet_s * FRAME_RATE_HZ)
         self._release_counts = min(settings.onset_threshold, ONSET_COUNTS)
         self._network = NetworkCheck(
-            None if p_no_touch is None else lambda frames: p_no_touch(frames, self.baseline.counts)
+            None if p_no_touch is None else lambda frames: p_no_touch(frames, self.baseline.counts), is_finer
         )
         self._loose_wire = LooseWire()
         self._recent = LastSecond()
@@ -459,7 +457,7 @@ class TouchTracker:
             _, newer = self._recent.halves()
             touch.highest_level = max(touch.highest_level, self._level(newer))
         touch.lowest_level = min(touch.lowest_level, level)
-        is_judged = touch.highest_level >= HUG_COUNTS or not self._network.knows_well
+        is_judged = touch.highest_level >= HUG_COUNTS or not self._network.knows_pad
         size = touch.highest_level - LIGHT_COUNTS / 2
         is_low = is_judged and level < LOW_SHARE * size
         is_rising = level > touch.lowest_level + max(RISE_COUNTS, RISE_SHARE * size)
@@ -476,7 +474,7 @@ class TouchTracker:
         """Ask the network about the quiet frames; if `quiet_s` is short, about no others."""
         asked = self._recent.last(min(quiet_frames, STILL_FRAMES))
         is_light = level < LIGHT_COUNTS and touch.highest_level < HUG_COUNTS
-        may_ask = (is_light or self._network.knows_well) and len(asked) >= ASK_FRAMES
+        may_ask = (is_light or self._network.knows_pad) and len(asked) >= ASK_FRAMES
         return may_ask and self._network.sees_touch(asked, NONE)
 
     def _check_end(self, touch: Touched, *, may_ask: bool) -> Release | None:
@@ -536,8 +534,8 @@ class TouchTracker:
         self.baseline.track_sway(np.abs(np.subtract(*self._recent.halves())))
         frames = self._recent.last(SECOND_FRAMES)
         smooth = _median(frames[2:], frames[1:-1], frames[:-2])
-        self._restless = 0.0
-        self._learn_restless(max(map(beyond_one_wire, self._above(smooth - self.baseline.counts))))
+        peak = max(map(beyond_one_wire, self._above(smooth - self.baseline.counts)))
+        self._restless = min(peak, MOST_RESTLESS)
         return release
 
     def _end(self, touch: Touched, reason: EndReason) -> Release:
@@ -562,7 +560,7 @@ class TouchTracker:
         return max(self._release_counts, self._restless)
 
     def _is_rising(self) -> bool:
-        """Whether contact has risen by a fifth within the last second, as in a slow press."""
+        """Whether contact has risen by `RISE_SHARE` within the last second, as in a slow press."""
         older, newer = (self._above(half - self.baseline.counts).sum() for half in self._recent.halves())
         return bool(newer > (1 + RISE_SHARE) * older)
 

@@ -40,7 +40,7 @@ def values_of(described: PadFormat, counts: Counts) -> Values:
     """Turn pressure (8, 8) into values (rows, columns) that decode to it; cropped cells are at rest."""
     turned = np.rot90(counts[:, ::-1] if described.mirror else counts, described.turn // 90)
     rows, columns, crop = described.rows, described.columns, described.crop
-    down, right = (np.arange(side - 2 * crop) * 8 // (side - 2 * crop) for side in (rows, columns))
+    down, right = (np.arange(side) * 8 // side for side in described.used)
     grid = np.zeros((rows, columns), turned.dtype)
     grid[crop : rows - crop, crop : columns - crop] = turned[down[:, None], right]
     if described.invert:

@@ -67,10 +67,10 @@ class PadFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     def __post_init__(self) -> None:
         for name in ("header", "footer", "poll"):
             _check_hex(name, getattr(self, name))
-        left = (self.rows - 2 * self.crop, self.columns - 2 * self.crop)
-        if not all(SHORTEST_SIDE <= side <= LONGEST_SIDE for side in left):
+        rows, columns = self.used
+        if not all(SHORTEST_SIDE <= side <= LONGEST_SIDE for side in self.used):
             raise FormatError(
-                f"{self.rows}x{self.columns} with crop {self.crop} leaves {left[0]}x{left[1]}; "
+                f"{self.rows}x{self.columns} with crop {self.crop} leaves {rows}x{columns}; "
                 f"a side of {SHORTEST_SIDE} to {LONGEST_SIDE} must be left: change rows, columns or crop"
             )
         if self.framing == "text":
@@ -116,6 +116,11 @@ class PadFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         return self.rows * self.columns
 
     @property
+    def used(self) -> tuple[int, int]:
+        """Rows and columns that `crop` leaves."""
+        return self.rows - 2 * self.crop, self.columns - 2 * self.crop
+
+    @property
     def first_bytes(self) -> bytes:
         """The bytes before a frame: the previous frame's footer (none before the first frame), its header."""
         return bytes.fromhex(self.footer) + bytes.fromhex(self.header)
@@ -141,9 +146,8 @@ class Layout:
         scale = np.float32(MAX_COUNT / described.full_scale)
         self._rows = _resampling(described.rows, described.crop, ROWS)
         self._columns = _resampling(described.columns, described.crop, COLUMNS).T * scale
-        left = (described.rows - 2 * described.crop, described.columns - 2 * described.crop)
         # Resampling would change nothing, and with cold caches it delays each answer.
-        self._is_plain = left == (ROWS, COLUMNS) and scale == 1
+        self._is_plain = described.used == (ROWS, COLUMNS) and scale == 1
 
     def pressure(self, values: Values) -> Counts:
         """Turn values (cells,) from 0 to full_scale into pressure (8, 8) uint16, read-only."""

@@ -4,6 +4,7 @@ import errno
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from msgspec import inspect
@@ -242,6 +243,22 @@ def test_another_pads_unsure_final_answer_is_not_told() -> None:
     assert Settings().pipeline.decision.final_above is None
     assert Settings(sensor=another).pipeline.decision.final_above == 0.6
     assert Settings(sensor=another, scene=asked_for).pipeline.decision.final_above == 0.0
+
+
+@pytest.mark.parametrize(
+    ("sensor", "is_finer"),
+    [
+        ({}, False),
+        ({"format": "velostat"}, False),
+        ({"format": "m1616"}, True),
+        ({"format": "m1616", "crop": 4}, False),
+        ({"format": "velostat", "columns": 9}, True),
+    ],
+)
+def test_a_pad_of_more_taxels_than_a_frame_is_known_by_its_grid(
+    sensor: dict[str, Any], is_finer: bool
+) -> None:
+    assert Settings(sensor=SensorSettings(**sensor)).pipeline.is_finer == is_finer
 
 
 def test_a_fabric_pad_of_another_grid_is_not_another_pad() -> None:

@@ -95,36 +95,37 @@ def test_a_pad_that_looks_touched_at_rest_needs_a_lower_answer(
     assert rests_at(rest, answer).sees_touch(changing(0), 0.15) == is_seen
 
 
-@pytest.mark.parametrize(
-    ("rest", "knows_rest", "knows_well"),
-    [(0.9, True, True), (0.71, True, True), (0.69, True, False), (0.21, True, False), (0.19, False, False)],
-)
-def test_the_network_knows_a_pad_by_its_answers_at_rest(
-    rest: float, knows_rest: bool, knows_well: bool
-) -> None:
+@pytest.mark.parametrize(("rest", "knows"), [(0.9, True), (0.21, True), (0.19, False)])
+def test_the_network_knows_a_pad_by_its_answers_at_rest(rest: float, knows: bool) -> None:
     check = check_with(rest)
-    assert (check.knows_rest, check.knows_well) == (False, False)
+    assert (check.knows_rest, check.knows_pad) == (False, False)
     begins(check, 3)
-    # A firm pad's first answers may be as high as those of a pad that the network knows well.
-    assert (check.knows_rest, check.knows_well) == (knows_rest, False)
+    # A firm pad's first answers may be as high as those of a pad that the network knows.
+    assert (check.knows_rest, check.knows_pad) == (knows, False)
     begins(check, 1)
-    assert (check.knows_rest, check.knows_well) == (knows_rest, knows_well)
+    assert (check.knows_rest, check.knows_pad) == (knows, knows)
     check.forget_rest()
-    assert (check.knows_rest, check.knows_well) == (False, False)
+    assert (check.knows_rest, check.knows_pad) == (False, False)
 
 
-def asked_until(rest: float, then: float, knows_well: bool) -> int:
-    """Return after how many answers at rest the network knows the pad well, or no longer does."""
+def test_the_network_knows_no_pad_of_more_taxels_than_it_learned_from() -> None:
+    finer = NetworkCheck(Answers(0.9), is_finer=True)
+    begins(finer, 9)
+    assert (finer.knows_rest, finer.knows_pad) == (True, False)
+
+
+def asked_until(rest: float, then: float, knows: bool) -> int:
+    """Return after how many answers at rest the network knows the pad, or no longer does."""
     check = rests_at(rest, then)
     for number in range(1, 100):
         check.begins_touch(changing(number))
-        if check.knows_well == knows_well:
+        if check.knows_pad == knows:
             return number
     return 100
 
 
 def test_what_is_known_of_rest_follows_more_slowly_down() -> None:
-    rises, falls = asked_until(0.6, 1.0, knows_well=True), asked_until(0.9, 0.5, knows_well=False)
+    rises, falls = asked_until(0.1, 0.5, knows=True), asked_until(0.3, 0.0, knows=False)
     assert 2 <= rises <= 5 < 8 <= falls <= 16
 
 

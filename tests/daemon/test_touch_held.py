@@ -41,7 +41,7 @@ def pad() -> TrackedPad:
 
 @pytest.fixture
 def seen(network: Network) -> TrackedPad:
-    """A pad that the network knows well."""
+    """A pad that the network knows."""
     pad = TrackedPad(p_no_touch=network)
     assert pad.feel(2.0) == []
     return pad
@@ -120,6 +120,18 @@ def test_what_a_light_touch_leaves_on_a_known_pad_is_the_networks_to_judge(
     # Far below half of the touch's contact, and seen all the same.
     assert seen.feel(palm(3.0, counts=15.0)) == []
     assert seen.tracker.last_contact_index == seen.index - 1 > eased
+
+
+def test_what_a_touch_leaves_on_a_finer_pad_ends_it(network: Network) -> None:
+    pad = TrackedPad(p_no_touch=network, is_finer=True)
+    pad.feel(2.0)
+    network.no_touch = 0.02
+    pad.feel(palm(1.0, counts=90.0))
+    left = pad.index
+    # The network, which never saw such a pad, takes it for a hand.
+    (release,) = pad.feel(palm(3.0, counts=15.0, trembling=False))
+    assert isinstance(release, Release)
+    assert abs(release.last_index - left) <= 9
 
 
 def test_a_hand_that_presses_again_goes_on_with_its_touch(pad: TrackedPad) -> None:
@@ -252,11 +264,8 @@ def test_a_longer_tap_is_asked_about_from_its_beginning(network: Network) -> Non
 
 
 @pytest.mark.parametrize(("counts", "goes_on"), [(60.0, True), (300.0, False)], ids=["a hand", "a hug"])
-def test_on_a_pad_it_hardly_knows_the_network_prolongs_no_hug(
-    network: Network, counts: float, goes_on: bool
-) -> None:
-    network.no_touch = 0.6
-    pad = TrackedPad(p_no_touch=network)
+def test_on_a_finer_pad_the_network_prolongs_no_hug(network: Network, counts: float, goes_on: bool) -> None:
+    pad = TrackedPad(p_no_touch=network, is_finer=True)
     pad.feel(3.0)
     network.no_touch = 0.02
     pad.feel(palm(1.5, counts))
@@ -357,9 +366,8 @@ def test_the_network_ends_a_touch_once_it_saw_three_seconds_without_a_hand(
     assert isinstance(release, Release)
 
 
-def test_on_a_pad_it_hardly_knows_the_network_prolongs_nothing_heavy(network: Network) -> None:
-    network.no_touch = 0.6
-    pad = TrackedPad(p_no_touch=network)
+def test_on_a_finer_pad_the_network_prolongs_nothing_heavy(network: Network) -> None:
+    pad = TrackedPad(p_no_touch=network, is_finer=True)
     pad.feel(3.0)
     network.no_touch = 0.02
     pad.feel(palm(1.5, 60.0))

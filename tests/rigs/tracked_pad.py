@@ -11,10 +11,16 @@ from touchd.drivers.pad.grid import GridFrame
 class TrackedPad(MadePad):
     """A made pad that feeds a tracker."""
 
-    def __init__(self, settings: TouchSettings | None = None, p_no_touch: PNoTouch | None = None) -> None:
+    def __init__(
+        self,
+        settings: TouchSettings | None = None,
+        p_no_touch: PNoTouch | None = None,
+        *,
+        is_finer: bool = False,
+    ) -> None:
         super().__init__()
         question = None if p_no_touch is None else lambda frames, rest: p_no_touch(frames)
-        self.tracker = TouchTracker(settings or TouchSettings(), question)
+        self.tracker = TouchTracker(settings or TouchSettings(), question, is_finer=is_finer)
         self.index = 0
         self.gap_ms = 0.0
 
