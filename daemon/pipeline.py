@@ -325,7 +325,10 @@ class Pipeline:
     def _answer_ongoing(self, touch: Touch, since_s: float) -> None:
         """Answer with another gesture once the hand has changed to it."""
         frames = min(ONGOING_FRAMES, self._final_frames)
-        output = self._model.probabilities(self._window(touch.first_index + touch.length, frames))
+        stop_index = touch.first_index + touch.length
+        if _leaves(self._frames(stop_index, frames) - self._tracker.baseline.counts.mean()):
+            return
+        output = self._model.probabilities(self._window(stop_index, frames))
         touch.recent = [*touch.recent[1 - ONGOING_WINDOWS :], output]
         mean: NDArray[np.float64] = np.mean(touch.recent, axis=0)
         if len(touch.recent) == ONGOING_WINDOWS and touch.decision.has_changed(mean):
@@ -381,6 +384,12 @@ def _question(model: Classifier) -> Question | None:
         return None
     place = model.labels.index(NO_TOUCH)
     return lambda frames, rest: float(model.probabilities(as_known(frames, rest))[place])
+
+
+def _leaves(load: NDArray[np.float32]) -> bool:
+    """Whether the hand leaves a soft pad: (T, 8, 8) counts fall from sixth to sixth, to less than half."""
+    means = [sixth.mean() for sixth in np.array_split(load, 6)]
+    return bool((np.diff(means) < 0).all() and means[-1] < means[0] / 2)
 
 
 def _as_sent(frame: GridFrame) -> int:

@@ -428,6 +428,14 @@ def test_a_lasting_change_of_gesture_is_told() -> None:
     assert [end.gesture for end in ended(events)] == ["rub"]
 
 
+@pytest.mark.parametrize(("falls_to", "is_told"), [(0.3, False), (0.8, True)], ids=["leaves", "eases"])
+def test_a_hand_that_leaves_a_soft_pad_has_not_changed_its_gesture(falls_to: float, is_told: bool) -> None:
+    bench = Bench(Scripted(lambda asked: "stroke" if asked <= 1 else "rub"))
+    load = 60.0 * falls_to ** np.linspace(0, 2, 108, dtype=np.float32)[:, None, None]
+    events = bench.feel(palm(2.9, 60.0, trembling=False), load * palm(2.0, 1.0, trembling=False))
+    assert told(events) == [("early", "stroke"), ("ongoing", "rub")][: 1 + is_told]
+
+
 class Wavering(Scripted):
     """Sure of a stroke up to the final answer; after it, every other window is a rub."""
 
