@@ -109,9 +109,19 @@ def test_a_lower_limit_names_more_of_the_ended_touches() -> None:
 
 
 def test_a_change_counts_once_both_gestures_were_told() -> None:
-    pair = changes.Pair("rub", "pat", np.zeros((1, 8, 8), np.uint16))
-    at_s = changes.CHANGES_S
+    pair = changes.Pair("rub", "pat", np.zeros((1, 8, 8), np.uint16), changes=324)
+    at_s = 324 / 54
     events = [answer("early", "rub", 3.0), answer("ongoing", "pat", at_s + 1.2)]
     fates = [changes.judge(pair, events), changes.judge(pair, [answer("early", "stroke", 3.0)])]
     found = changes.score(fates)
     assert (found.both, found.last, found.third, found.after_s, found.n) == (50.0, 50.0, 50.0, 1.2, 2)
+
+
+def test_a_pair_may_be_two_touches_with_rest_between() -> None:
+    recordings = [recording("notouch", []), recording("pat", [(0, 431)]), recording("rub", [(0, 431)])]
+    at_once, apart = (
+        next(changes.pairs(recordings, apart=apart)).counts[:, 3, 3] > 2 for apart in (False, True)
+    )
+    assert [len(at_once), len(apart)] == [108 + 432 + 108, 108 + 216 + 108 + 216 + 108]
+    assert not apart[324:432].any()
+    assert at_once.sum() == apart.sum() == 432

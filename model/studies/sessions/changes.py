@@ -19,7 +19,6 @@ from touchd.model.studies.sessions.plan import together
 
 REST_FRAMES = 108
 EACH_FRAMES = round(4 * FRAME_RATE_HZ)
-CHANGES_S = (REST_FRAMES + EACH_FRAMES) / FRAME_RATE_HZ
 
 
 class ChangeScore(msgspec.Struct, frozen=True, kw_only=True):
@@ -38,11 +37,12 @@ class ChangeScore(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """Counts (T, 8, 8): rest, the first gesture, the second, rest."""
+    """Counts (T, 8, 8): rest, the first gesture, the second, which begins at frame `changes`, rest."""
 
     first: str
     second: str
     counts: Counts
+    changes: int
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,11 @@ class Fate:
         return later[0] if later else None
 
 
-def pairs(recordings: Sequence[Recording]) -> Iterator[Pair]:
-    """Yield each touching recording of a condition followed by another gesture of that condition."""
+def pairs(recordings: Sequence[Recording], *, apart: bool = False) -> Iterator[Pair]:
+    """Yield each touching recording of a condition followed by another gesture of that condition.
+
+    apart: whether rest lies between them.
+    """
     rng = random.Random(7)
     for _, by_gesture in together(recordings):
         rest = by_gesture[NO_TOUCH][0]
@@ -74,14 +77,16 @@ def pairs(recordings: Sequence[Recording]) -> Iterator[Pair]:
             if not others:
                 continue
             other, following = rng.choice(others)
-            parts = (rest[:REST_FRAMES], counts[:EACH_FRAMES], following[-EACH_FRAMES:], rest[-REST_FRAMES:])
-            yield Pair(name, other, np.concatenate(parts).astype(np.uint16))
+            first = [rest[:REST_FRAMES], counts[:EACH_FRAMES], *([rest[:REST_FRAMES]] if apart else [])]
+            parts = [*first, following[-EACH_FRAMES:], rest[-REST_FRAMES:]]
+            yield Pair(name, other, np.concatenate(parts).astype(np.uint16), sum(map(len, first)))
 
 
 def judge(pair: Pair, events: Sequence[Event]) -> Fate:
     """Return what was told of a pair."""
     told = [event for event in events if isinstance(event, Prediction) and event.told]
-    named = [(event.gesture, epoch_s(event.time) - CHANGES_S) for event in told if event.gesture != UNCERTAIN]
+    changes_s = pair.changes / FRAME_RATE_HZ
+    named = [(event.gesture, epoch_s(event.time) - changes_s) for event in told if event.gesture != UNCERTAIN]
     return Fate(pair, tuple(named))
 
 
@@ -107,12 +112,12 @@ def score(fates: Sequence[Fate]) -> ChangeScore:
     )
 
 
-def measure(split: Split) -> ChangeScore:
-    """Play every pair with the network that never saw the person, and score them together."""
+def measure(split: Split, *, apart: bool = False) -> ChangeScore:
+    """Play every pair with the network that never saw the person, and score them together; see `pairs`."""
     return score(
         [
             judge(pair, play(frames_of(pair.counts), model, flush=True))
             for model, recordings in split
-            for pair in pairs(recordings)
+            for pair in pairs(recordings, apart=apart)
         ]
     )
