@@ -325,10 +325,10 @@ class Pipeline:
     def _answer_ongoing(self, touch: Touch, since_s: float) -> None:
         """Answer with another gesture once the hand has changed to it."""
         frames = min(ONGOING_FRAMES, self._final_frames)
-        stop_index = touch.first_index + touch.length
-        if _leaves(self._frames(stop_index, frames) - self._tracker.baseline.counts.mean()):
+        counts, rest = self._frames(touch.first_index + touch.length, frames), self._tracker.baseline.counts
+        if _leaves(counts - rest.mean()):
             return
-        output = self._model.probabilities(self._window(stop_index, frames))
+        output = self._model.probabilities(as_known(counts, rest))
         touch.recent = [*touch.recent[1 - ONGOING_WINDOWS :], output]
         mean: NDArray[np.float64] = np.mean(touch.recent, axis=0)
         if len(touch.recent) == ONGOING_WINDOWS and touch.decision.has_changed(mean):
