@@ -35,7 +35,7 @@ SAME_COUNTS, SAME_PEAK_COUNTS = 13.0, 2.0
 
 
 class NetworkCheck:
-    """Compares answers with those at rest. p_no_touch: None if unknown. is_finer: a pad of more taxels."""
+    """Compares answers with those at rest. p_no_touch: None without a network. is_finer: than 8x8 taxels."""
 
     def __init__(self, p_no_touch: PNoTouch | None, is_finer: bool = False) -> None:
         self._p_no_touch, self._is_finer = p_no_touch, is_finer
