@@ -7,6 +7,7 @@ together most is proposed if a hand presses the pad and touchd's own parser read
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from operator import attrgetter
 
 import numpy as np
@@ -115,7 +116,7 @@ def search(chunks: Sequence[Chunk], grid: Grid | None) -> Finding:
     # A survey tries every preset, which takes longer than the rest of a search.
     seen = None if grid else survey(chunks)
     grid = grid or (seen.grid if seen and seen.is_shown else None)
-    best = max(placements(chunks, grid), key=_fit, default=None) if grid else None
+    best = max(placements(chunks, grid), key=partial(_fit, chunks), default=None) if grid else None
     if best is None:
         return Finding(None, _why_none_fits(data, seen or survey(chunks), grid), saw)
     best = Placement(settled(best), best.values)
@@ -135,15 +136,16 @@ def placements(chunks: Sequence[Chunk], grid: Grid) -> Iterator[Placement]:
     return (each for each in placed if not binary.counting(each.values).any())
 
 
-def _fit(placed: Placement) -> tuple[float, float]:
-    """Return how much neighbours move together, relative to their roughness; and how evenly cells rest.
+def _fit(chunks: Sequence[Chunk], placed: Placement) -> tuple[bool, float, float]:
+    """Return whether a checksum holds, how neighbours move together for their roughness, how even rest is.
 
     Placements fit as well around a border that never changes; a header there rests at another value.
     """
+    is_checked = placed.described.tail == 1 and _completed(placed.described, chunks).checksum != "none"
     steps = np.abs(np.diff(thinned(placed.values), axis=0)).mean(axis=0)
     roughness = max(float(steps.sum()) / max(int((steps > 0).sum()), 1), 1e-9)
     fit = together(movement(placed.values), *pairs(placed.cells)) / roughness**ROUGHNESS
-    return round(fit, 4), -float(np.ptp(np.median(placed.values, axis=0)))
+    return is_checked, round(fit, 4), -float(np.ptp(np.median(placed.values, axis=0)))
 
 
 def _why_none_fits(data: bytes, seen: Survey | None, grid: Grid | None) -> str:

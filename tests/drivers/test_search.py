@@ -89,6 +89,12 @@ def test_a_pad_that_is_pressed_is_found_or_called_ambiguous(described: PadFormat
     check_found_or_refused(described, seed)
 
 
+def test_a_checksum_that_holds_shows_where_the_cells_are() -> None:
+    # One byte off, so few cells move together as well.
+    described = PadFormat(header="01", rows=4, columns=4, cell="u8", checksum="values", full_scale=120)
+    check_found_or_refused(described, seed=0)
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 @given(described=any_format, seed=st.integers(0, 10**6))
