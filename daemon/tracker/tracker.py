@@ -51,8 +51,6 @@ CHECK_FRAMES = 6
 ONSET_COUNTS = 4.0
 # A loose wire may lift a row or column by up to this many counts in total, which are not contact.
 WIRE_COUNTS = 25.0
-# A pad that has drifted by more is calibrated again: the network would take the drift for a still hand.
-LIFTED_COUNTS = 10.0
 # Contact must exceed the untouched pad's recent peak by half; the peak halves in 13 seconds. Without this
 # rule, there is one more false touch in ten minutes on the robot.
 RESTLESS_FACTOR = 1.5
@@ -63,18 +61,8 @@ MOST_RESTLESS = 20.0
 LEAVING_FRAMES = 108
 
 # Maybe.
-# Contact that only a hand makes.
-FIRM_COUNTS = 60.0
-# A baseline shift is over in two frames; a hand goes on moving, by this many counts summed over the pad.
-STEP_FRAMES = 2
-MOVED_COUNTS = 6.0
 # 4.5 times that within a third of a second is a touch: without this rule, 1 % more of the robot's are missed.
 SURE_MOVEMENT = 4.5  # later, it may be a body that breathes
-# Then the network decides: about moving contact six times a second, about still contact once, after a second.
-ASK_MOVING_FRAMES = 9
-# A quarter of a second after a rise has gone, the network is asked whether it was a touch. Without this rule,
-# 13 of 35 single pats of HAART are missed: they are light, or lift the whole pad as drift does.
-GONE_FRAMES = 13
 
 # Touched.
 # Contact that is low and does not rise is what the hand has left: a fold, a material that creeps. Low: below
@@ -83,9 +71,9 @@ GONE_FRAMES = 13
 LOW_SHARE = 0.5
 # It rises if it exceeds its lowest by this share of the same level, and by more than noise. With 0.1, three
 # more of the firm pad's pauses are merged. Light contact that rises so in a second does not become rest.
-RISE_SHARE, RISE_COUNTS = 0.15, 10.0
+RISE_SHARE = 0.15
 # What a light hand makes. The network is asked about quiet frames with less; if it knows the pad, about all.
-LIGHT_COUNTS = 80.0
+LIGHT_COUNTS = 60.0
 # On a pad that the network knows, it decides what contact remains, unless the touch was a hug: without this,
 # 3 % more of the robot's touches are split. Elsewhere what a hug leaves looks like a hand to it.
 HUG_COUNTS = 1000.0
@@ -97,7 +85,7 @@ STILL_COUNTS = 1.0
 STILL_SPREADS = 0.8
 LOAD_NOISE = 0.03
 # Low and still for two thirds of a second, a touch is over, unless the network sees a light one in them.
-STILL_FRAMES = 36
+STILL_FRAMES = 2 * ASK_FRAMES
 SETTLED_FRAMES = round(10 * FRAME_RATE_HZ)  # a load that has kept still as long becomes rest
 LONGEST_FRAMES = round(600 * FRAME_RATE_HZ)  # a touch ends
 
@@ -326,8 +314,10 @@ class TouchTracker:
             self._restless = quiet.peak
         quiet.frames += 1
         self.baseline.track(self._recent.last(1)[0])
+        # The network would take drift for a still hand.
         sunken = beyond_one_wire(self._above(-rise))
-        self._follow_rest(quiet, is_shifted=drift > LIFTED_COUNTS or sunken >= self._settings.onset_threshold)
+        is_shifted = drift > MAX_DEVIATION_COUNTS or sunken >= self._settings.onset_threshold
+        self._follow_rest(quiet, is_shifted=is_shifted)
         return self._ask_at_rest(quiet)
 
     def _learn_restless(self, peak: float) -> None:
@@ -364,7 +354,7 @@ class TouchTracker:
         above = self._above(rise - drift_of(rise))
         contact = beyond_one_wire(above)
         waited = self._index - maybe.since
-        if waited <= STEP_FRAMES:
+        if waited < SMOOTH_FRAMES:
             maybe.before = smooth
         if contact >= self._onset_counts:
             maybe.last, maybe.touched = self._index, above > 0
@@ -373,9 +363,9 @@ class TouchTracker:
         off -= np.sort(off)[TAXELS // 2]
         maybe.moved = max(maybe.moved, float(np.maximum(np.abs(off) - self.baseline.noise_floor, 0).sum()))
 
-        movement = maybe.moved / max(MOVED_COUNTS, RESTLESS_FACTOR * self._restless)
+        movement = maybe.moved / (RESTLESS_FACTOR * self._quiet_counts)
         may_breathe = waited > ASK_FRAMES and self._network.is_there
-        is_sure = contact >= FIRM_COUNTS or (movement >= SURE_MOVEMENT and not may_breathe)
+        is_sure = contact >= LIGHT_COUNTS or (movement >= SURE_MOVEMENT and not may_breathe)
         if is_sure or self._is_light_touch(waited, movement):
             return self._begin(self._first_frame(maybe))
         if waited and (brief := self._brief_touch(beyond_one_wire(self._above(rise)))) is not None:
@@ -390,24 +380,25 @@ class TouchTracker:
     def _is_light_touch(self, waited: int, movement: float) -> bool:
         """Ask the network about light contact, sooner if it moves."""
         if movement >= 1.0 and waited >= ASK_FRAMES:
-            is_due = self._index % ASK_MOVING_FRAMES == 0
+            is_due = self._index % (ASK_FRAMES // 2) == 0
         else:
             is_due = waited == SECOND_FRAMES and self._network.is_there
-        return is_due and self._network.is_below(NONE, self._recent.last(waited - STEP_FRAMES))
+        return is_due and self._network.is_below(NONE, self._recent.last(waited + 1 - SMOOTH_FRAMES))
 
     def _brief_touch(self, rise: float) -> Onset | None:
         """Ask the network about a rise that has gone: a light pat, or one that lifts the whole pad.
 
-        rise: contact in counts, with what all taxels rose by.
+        Without this, 13 of 35 single pats of HAART are missed. rise: contact in counts, with what all taxels
+        rose by.
         """
-        brief = self._brief
+        brief, gone_frames = self._brief, CALIBRATION_FRAMES // 2
         if rise >= max(self._onset_counts, LOW_SHARE * brief.highest):
-            if self._index - brief.last > GONE_FRAMES:
+            if self._index - brief.last > gone_frames:
                 brief.first = self._index
             brief.last, brief.highest = self._index, max(brief.highest, rise)
-        elif self._index - brief.last == GONE_FRAMES:
+        elif self._index - brief.last == gone_frames:
             brief.highest = 0.0
-            asked = self._recent.last(self._index - brief.first + STEP_FRAMES)
+            asked = self._recent.last(self._index - brief.first + SMOOTH_FRAMES - 1)
             if self._network.sees_touch(asked, TOUCH):
                 return self._begin(brief.first, brief.last)
         return None
@@ -458,9 +449,9 @@ class TouchTracker:
             touch.highest_level = max(touch.highest_level, self._level(newer))
         touch.lowest_level = min(touch.lowest_level, level)
         is_judged = touch.highest_level >= HUG_COUNTS or not self._network.knows_pad
-        size = touch.highest_level - LIGHT_COUNTS / 2
+        size = touch.highest_level - LIGHT_COUNTS
         is_low = is_judged and level < LOW_SHARE * size
-        is_rising = level > touch.lowest_level + max(RISE_COUNTS, RISE_SHARE * size)
+        is_rising = level > touch.lowest_level + max(MOST_RESTLESS, RISE_SHARE * size)
         return level >= self._quiet_counts and (is_rising or not is_low)
 
     def _last_seen(self, touch: Touched) -> int:

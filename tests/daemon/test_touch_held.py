@@ -473,13 +473,13 @@ def test_the_network_follows_a_touch_three_times_a_second(network: Network) -> N
     pad = TrackedPad(p_no_touch=network)
     pad.feel(nothing(110 / 54))
     network.no_touch = 0.02
-    pad.feel(palm(2.0, 5.0))
+    pad.feel(palm(2.0, 4.0))
     network.windows.clear()
-    assert pad.feel(palm(2.0, 5.0)) == []
+    assert pad.feel(palm(2.0, 4.0)) == []
     assert network.windows.count(54) == 6
 
 
-@pytest.mark.parametrize(("left", "ends"), [(120.0, True), (150.0, False)])
+@pytest.mark.parametrize(("left", "ends"), [(140.0, True), (170.0, False)])
 def test_what_is_below_half_of_a_touch_less_a_light_hand_is_what_it_left(left: float, ends: bool) -> None:
     pad = TrackedPad()
     pad.rest = np.full((8, 8), 20.0)
@@ -489,8 +489,8 @@ def test_what_is_below_half_of_a_touch_less_a_light_hand_is_what_it_left(left: f
     def load(seconds: float, contact: float) -> Scans:
         return palm(seconds, (contact + floor) / 9, trembling=False)
 
-    # Half of 300 less 40 is 130. Still, and above a light hand, it would end later.
-    assert [type(change) for change in pad.feel(load(1.5, 300.0), load(0.95, left))] == (
+    # Half of 360 less 60 is 150. Still, and above a light hand, it would end later.
+    assert [type(change) for change in pad.feel(load(1.5, 360.0), load(0.95, left))] == (
         [Onset, Release] if ends else [Onset]
     )
 
