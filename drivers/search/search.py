@@ -136,16 +136,16 @@ def placements(chunks: Sequence[Chunk], grid: Grid) -> Iterator[Placement]:
     return (each for each in placed if not binary.counting(each.values).any())
 
 
-def _fit(chunks: Sequence[Chunk], placed: Placement) -> tuple[bool, float, float]:
-    """Return whether a checksum holds, how neighbours move together for their roughness, how even rest is.
+def _fit(chunks: Sequence[Chunk], placed: Placement) -> tuple[float, bool, float, float]:
+    """Return how much neighbours move together, relative to their roughness; and what decides among equals.
 
-    Placements fit as well around a border that never changes; a header there rests at another value.
+    A checksum that holds, or cells that rest evenly: around a border that never changes, a header does not.
     """
     is_checked = placed.described.tail == 1 and _completed(placed.described, chunks).checksum != "none"
     steps = np.abs(np.diff(thinned(placed.values), axis=0)).mean(axis=0)
     roughness = max(float(steps.sum()) / max(int((steps > 0).sum()), 1), 1e-9)
     fit = together(movement(placed.values), *pairs(placed.cells)) / roughness**ROUGHNESS
-    return is_checked, round(fit, 4), -float(np.ptp(np.median(placed.values, axis=0)))
+    return round(fit, 2), is_checked, round(fit, 4), -float(np.ptp(np.median(placed.values, axis=0)))
 
 
 def _why_none_fits(data: bytes, seen: Survey | None, grid: Grid | None) -> str:
