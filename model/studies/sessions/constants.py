@@ -29,13 +29,13 @@ from touchd.model.studies.folders import study_parser
 from touchd.model.studies.marked import fill, table
 from touchd.model.studies.play import frames_of, play
 from touchd.model.studies.results import STORED, Results
-from touchd.model.studies.sessions import streams
+from touchd.model.studies.sessions import passing, streams
 from touchd.model.studies.sessions.plan import SessionSettings, sessions
 from touchd.model.studies.sessions.score import judge, score
 from touchd.model.training import haart, second_study
 
 FILE = STORED / "constants.json"
-DETECTION = ("HAART", "robot", "hum", "third study")
+DETECTION = ("HAART", "robot", "hum", "breathing", "third study", "passing")
 GROUPS: dict[ModuleType, tuple[str, ...]] = {
     tracker: DETECTION,
     baseline: DETECTION,
@@ -61,6 +61,7 @@ DISTURBED = {
     "noise": SessionSettings(noise=1.5),
     "hum": SessionSettings(hum=2.0),
     "motor": SessionSettings(motor=2.0),
+    "breathing": SessionSettings(breathing=2.0),
 }
 FIGURES = ("missed", "merged", "split", "open", "false")
 Figures = dict[str, float]
@@ -94,7 +95,7 @@ class Sample:
         self._sessions = {"HAART": _some(sessions(test, plain)), "robot": _some(sessions(robot, plain))}
         for name, settings in DISTURBED.items():
             self._sessions[name] = _some(sessions(test, settings))
-        self._streams = _some(streams.read(third))
+        self._streams, self._passing = _some(streams.read(third)), _some(passing.sessions(test))
         loaded = Classifier.load(SHIPPED_MODEL)
         self.model = Remembering(loaded.metadata, loaded.session, loaded.states)
 
@@ -108,6 +109,10 @@ class Sample:
                 result = score([judge(session, events) for session, events in played])
                 figures |= {f"{group}, {name}": getattr(result, name) for name in FIGURES}
                 figures[f"{group}, called unwell"] = _unwell([events for _, events in played])
+            elif group == "passing":
+                fates = passing.played(self._passing, self.model)
+                figures["passing, missed"] = passing.score(fates).missed
+                figures["passing, several"] = passing.score(fates).several
             else:
                 told = streams.score([(each, streams.play(each, self.model)) for each in self._streams])
                 figures[f"{group}, missed"] = 100 * told.missed / max(1, told.touched)

@@ -232,9 +232,14 @@ def score(fates: Sequence[Fate]) -> PassingScore:
 
 def measure(recordings: Sequence[Recording], model: Classifier) -> list[Fate]:
     """Play a session for each person and condition."""
+    return played(sessions(recordings), model)
+
+
+def played(planned: Iterable[PassingSession], model: Classifier) -> list[Fate]:
+    """Play sessions; return what became of their touches."""
     return [
         fate
-        for session in sessions(recordings)
+        for session in planned
         for fate in judge(session, play(frames_of(session.counts), model, flush=True))
     ]
 
