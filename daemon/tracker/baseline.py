@@ -27,7 +27,7 @@ MAX_SWAY_COUNTS = 4.0
 # Noise is the mean change of a taxel over this many frames. Over one frame, slow hum looks like rest; over
 # three, a slow press adds hardly anything.
 NOISE_FRAMES = 3
-# The learned sway halves in 15 seconds, at nine checks a second.
+# The learned sway halves in 23 seconds, at six checks a second.
 SWAY_KEPT = 0.995
 # Mean noise floor above which light touches go unnoticed. HAART's pad has 1.6, the robot's 2.0 at most.
 DISTURBED_FLOOR = 2.2
