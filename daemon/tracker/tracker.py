@@ -366,7 +366,7 @@ class TouchTracker:
         movement = maybe.moved / RESTLESS_FACTOR
         may_breathe = waited > ASK_FRAMES and self._network.is_there
         is_sure = contact >= LIGHT_COUNTS or (movement >= MOST_RESTLESS and not may_breathe)
-        if is_sure or self._is_light_touch(waited, is_moving=movement >= self._quiet_counts):
+        if is_sure or self._is_light_touch(waited, is_moving=movement >= max(ONSET_COUNTS, self._restless)):
             return self._begin(self._first_frame(maybe))
         if waited and (brief := self._brief_touch(beyond_one_wire(self._above(rise)))) is not None:
             return brief
