@@ -481,7 +481,7 @@ def test_a_loose_wire_is_named_once_in_the_log(caplog: pytest.LogCaptureFixture)
 def test_a_touch_of_more_than_a_minute_is_asked_about_in_the_log(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     bench = Bench()
-    swaying = palm(61.0) * np.linspace(1.0, 2.0, 54, dtype=np.float32)[np.arange(61 * 54) % 54, None, None]
+    swaying = palm(61.0) * np.linspace(1.0, 1.5, 54, dtype=np.float32)[np.arange(61 * 54) % 54, None, None]
     bench.feel(swaying[: 59 * 54])
     assert caplog.messages == []
     events = bench.feel(swaying[59 * 54 :])
