@@ -110,9 +110,8 @@ class Sample:
                 figures |= {f"{group}, {name}": getattr(result, name) for name in FIGURES}
                 figures[f"{group}, called unwell"] = _unwell([events for _, events in played])
             elif group == "passing":
-                fates = passing.played(self._passing, self.model)
-                figures["passing, missed"] = passing.score(fates).missed
-                figures["passing, several"] = passing.score(fates).several
+                fates = passing.score(passing.played(self._passing, self.model))
+                figures |= {"passing, missed": fates.missed, "passing, several": fates.several}
             else:
                 told = streams.score([(each, streams.play(each, self.model)) for each in self._streams])
                 figures[f"{group}, missed"] = 100 * told.missed / max(1, told.touched)
