@@ -14,6 +14,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from touchd.daemon.tracker.baseline import SECOND_FRAMES, TAXELS
+from touchd.daemon.tracker.tracker import CHECK_FRAMES
 from touchd.drivers.faults import FaultLog
 from touchd.drivers.frame import (
     CLOCK_MODULUS,
@@ -35,49 +37,39 @@ NOTE_S = 1.0
 # Faults that prevent detection, of light touches at least; others cost a part of the pad or some frames.
 DEGRADING = ("gaps", "restarts", "frozen", "garbled", "noise")
 
-# Recognising a touch takes half a second of frames without a gap. If DEAF_S pass without it, that is a fault.
-WITHOUT_GAP_FRAMES = 27
-DEAF_S = 3.0
-# After a pause this long in their arrival, frames prove nothing: the daemon may have been suspended.
-PAUSE_S = 2.0
+# A fault is reported once it has lasted so long: the taxels of one broken wire do not fall still at once.
+# After as long a pause in their arrival, frames prove nothing: the daemon may have been suspended.
+LASTS_S = 2.0
+# Recognising a touch takes half a second of frames without a gap.
+WITHOUT_GAP_FRAMES = SECOND_FRAMES // 2
 
 # Interval at which the parser's counts are compared. One lost frame in fifty is a fault that will grow.
 COMPARE_S = 10.0
 MANY_SHARE = 0.02
 
-# A pad that restarts this often within this time is degraded.
-OFTEN_RESTARTS, OFTEN_S = 3, 60.0
+MINUTE_S = 60.0
+# A pad that restarts this often in a minute is degraded.
+OFTEN_RESTARTS = 3
+# Values that jump, on a pad too slow to tell them from a pat, keep a touch open; so does a load that moves.
+LONG_TOUCH = "a touch has gone on for a minute; if no hand is there, what lies on the pad, or do values jump?"
 
-# Rest is checked nine times a second. The noise measured while a hand leaves is too high, and falls within
+# Rest is checked six times a second. The noise measured while a hand leaves is too high, and falls within
 # three seconds; a pad counts as noisy after five.
-REST_FRAMES = 6
-NOISY_CHECKS = round(5 * FRAME_RATE_HZ / REST_FRAMES)
+NOISY_CHECKS = round(5 * FRAME_RATE_HZ / CHECK_FRAMES)
 
-# The share of frames, averaged over 2 s, in which a taxel changes: mostly above one half on a sound pad.
+# Frames are checked half a second at a time, which takes a twentieth of the time of one by one.
+BLOCK_MS = 500
+# The share of frames, averaged over LASTS_S, in which a taxel changes: mostly above one half on a sound pad.
 # If a taxel stops changing, it counts as still after about 8 s, and as lively half a second after it moves.
-AVERAGE_S = 2.0
-# Frames are checked half a second at a time, which takes a twentieth of the time of one by one. Without the
-# limit in ms, a slow pad that is touched often is hardly ever checked.
-BLOCK_FRAMES, LEAST_BLOCK_FRAMES, BLOCK_MS = 27, 3, 500
 STILL_SHARE = 0.01
-UNKNOWN_SHARE = 0.05
 LIVELY_SHARE = 0.1
-# On a pad with noise, a taxel that stands still is broken. A pad has noise if this many taxels change in this
-# share of the first three seconds' frames without a hand, as on HAART's and the robot's pads.
-FIRST_S = 3.0
-LIVELY_TAXELS = 48
+# On a pad with noise, a taxel that stands still is broken. A pad has noise if three quarters of its taxels
+# change in this share of the first frames without a hand, as on HAART's and the robot's pads.
 NOISY_SHARE = 0.3
 SATURATED_COUNT = 1000
-SATURATED_TAXELS = 16
-# A frame is garbled if taxels that read more, or less, than in the frames before and after do so by this many
-# counts in total; smaller jumps of a taxel are noise. In 5 s of HAART or the robot, at most a fifth of frames
-# are; on a pad of less than 40 Hz a pat looks the same.
-JUMP_COUNTS, GARBLED_COUNTS, GARBLED_SHARE, GARBLED_HZ = 40, 100, 0.35, 40.0
-# Values that jump, on a pad too slow to tell them from a pat, keep a touch open; so does a load that moves.
-LONG_TOUCH_S = 60.0
-LONG_TOUCH = "a touch has gone on for a minute; if no hand is there, what lies on the pad, or do values jump?"
-# Taxels of one broken wire do not fall still in the same frame; report once all have.
-SETTLE_S = 2.0
+# A frame is garbled if a taxel that reads more, or less, than in the frames before and after does so by this
+# many counts; smaller jumps are noise. On a pad of less than 40 Hz a pat looks the same.
+JUMP_COUNTS, GARBLED_SHARE, GARBLED_HZ = 100, 0.35, 40.0
 
 
 class PadMonitor:
@@ -128,13 +120,13 @@ class PadMonitor:
         return self._note(frame.host_s, touched_s)
 
     def on_rest(self, *, is_noisy: bool, loose_lines: Sequence[str]) -> None:
-        """Take what the tracker knows of the untouched pad, every REST_FRAMES while nothing touches it."""
+        """Take what the tracker knows of the untouched pad, every CHECK_FRAMES while nothing touches it."""
         self._rest.update(is_noisy, loose_lines)
 
     def _note(self, now_s: float, touched_s: float) -> SensorState | None:
         """Log what has begun and ended; return the state if it is another one now."""
         found = self._gaps.faults | self._taxels.faults | self._rest.faults
-        if touched_s >= LONG_TOUCH_S:
+        if touched_s >= MINUTE_S:
             found["long touch"] = LONG_TOUCH
         if "loose wire" in found:
             # It is the line that jumps.
@@ -169,7 +161,7 @@ class _Gaps:
         self._since_s = -math.inf
 
     def update(self, frame: Frame, restarted: bool) -> None:
-        is_first = not self._frames or frame.host_s - self._frames[-1].host_s > PAUSE_S
+        is_first = not self._frames or frame.host_s - self._frames[-1].host_s > LASTS_S
         self._frames.append(frame)
         self._without_gap = 0 if restarted else self._without_gap + 1
         if is_first:
@@ -182,7 +174,7 @@ class _Gaps:
                 self.faults.clear()
             else:
                 self.faults["gaps"] = _too_slow(rate_hz)
-        elif not self.faults and restarted and frame.host_s - self._since_s >= DEAF_S:
+        elif not self.faults and restarted and frame.host_s - self._since_s >= LASTS_S:
             self.faults["gaps"] = f"no touch is recognised: {self._why()}"
 
     def _why(self) -> str:
@@ -228,7 +220,7 @@ class _LineFaults:
         if self._parser.counts.restarts != self._restarts:
             self._restarts = self._parser.counts.restarts
             self._restarts_s.append(now_s)
-        is_often = len(self._restarts_s) == OFTEN_RESTARTS and now_s - self._restarts_s[0] <= OFTEN_S
+        is_often = len(self._restarts_s) == OFTEN_RESTARTS and now_s - self._restarts_s[0] <= MINUTE_S
         often = (
             f"the pad restarted {OFTEN_RESTARTS} times in a minute, which may cut touches; is its supply too "
             "weak, or does its firmware crash?"
@@ -300,7 +292,7 @@ class TaxelFaults:
     def __init__(self) -> None:
         self._block: list[Frame] = []
         self._clock_s = 0.0
-        self._activity = np.full((ROWS, COLUMNS), UNKNOWN_SHARE)
+        self._activity = np.full((ROWS, COLUMNS), LIVELY_SHARE / 2)
         self._is_still = np.zeros((ROWS, COLUMNS), dtype=np.bool_)
         self._has_noise = False
         self._first_s = 0.0
@@ -316,7 +308,7 @@ class TaxelFaults:
         self._block.append(frame)
         self._is_untouched &= is_untouched
         span_ms = (frame.sensor_ms - self._block[0].sensor_ms) % CLOCK_MODULUS
-        if len(self._block) <= (BLOCK_FRAMES if span_ms < BLOCK_MS else LEAST_BLOCK_FRAMES):
+        if span_ms < BLOCK_MS or len(self._block) < 3:
             return
         self._measure(np.stack([one.pressure for one in self._block]), _passed_s(self._block))
         self._block, self._is_untouched = [frame], is_untouched
@@ -325,13 +317,13 @@ class TaxelFaults:
     def _measure(self, pressure: Counts, passed_s: float) -> None:
         """Take (T, 8, 8) frames, the first of which was taken before, and how long the others took."""
         self._clock_s += passed_s
-        weight = 1.0 - math.exp(-passed_s / AVERAGE_S)
+        weight = 1.0 - math.exp(-passed_s / LASTS_S)
         if self._is_untouched:
             self._measure_changes((pressure[1:] != pressure[:-1]).mean(axis=0), passed_s, weight)
-        is_saturated = (pressure[1:] >= SATURATED_COUNT).sum(axis=(1, 2)) >= SATURATED_TAXELS
+        is_saturated = (pressure[1:] >= SATURATED_COUNT).mean(axis=(1, 2)) >= 1 / 4
         self._saturation += weight * (float(is_saturated.mean()) - self._saturation)
         is_fast = passed_s <= (len(pressure) - 1) / GARBLED_HZ
-        garbled = float((_jumps(pressure) >= GARBLED_COUNTS).mean()) if is_fast else 0.0
+        garbled = float(_jumps(pressure).mean()) if is_fast else 0.0
         self._garbled += weight * (garbled - self._garbled)
 
     def _measure_changes(self, changed: NDArray[np.float64], passed_s: float, weight: float) -> None:
@@ -339,11 +331,11 @@ class TaxelFaults:
         self._activity += weight * (changed - self._activity)
         is_still = self._activity < STILL_SHARE
         self._is_still = is_still | (self._is_still & (self._activity < LIVELY_SHARE))
-        if self._first_s < FIRST_S:
+        if self._first_s < LASTS_S:
             self._first_changed += changed * passed_s
             self._first_s += passed_s
-            is_lively = self._first_changed > NOISY_SHARE * self._first_s
-            self._has_noise = int(is_lively.sum()) >= LIVELY_TAXELS
+            seldom_changed = np.sort(self._first_changed, axis=None)[TAXELS // 4]
+            self._has_noise = bool(seldom_changed > NOISY_SHARE * self._first_s)
 
     def _current(self) -> dict[str, str]:
         """Return what looks faulty now."""
@@ -361,16 +353,16 @@ class TaxelFaults:
         return found
 
     def _follow(self, found: Mapping[str, str]) -> None:
-        """Update `faults` with what has begun or ended, and stayed so for SETTLE_S."""
+        """Update `faults` with what has begun or ended, and stayed so for LASTS_S."""
         changing = found.keys() ^ self.faults.keys()
         self._changing_since_s = {kind: self._changing_since_s.get(kind, self._clock_s) for kind in changing}
         for kind, since_s in self._changing_since_s.items():
-            if self._clock_s - since_s >= SETTLE_S and self.faults.pop(kind, None) is None:
+            if self._clock_s - since_s >= LASTS_S and self.faults.pop(kind, None) is None:
                 self.faults[kind] = found[kind]
 
 
-def _jumps(pressure: Counts) -> NDArray[np.int64]:
-    """Return by how many counts taxels jump in a single frame, for each of (T, 8, 8) frames with neighbours.
+def _jumps(pressure: Counts) -> NDArray[np.bool_]:
+    """Return for each of (T, 8, 8) frames with neighbours whether a taxel jumps in it alone.
 
     A jump of less than half of what the taxel reads before and after is noise under a load.
     """
@@ -379,8 +371,7 @@ def _jumps(pressure: Counts) -> NDArray[np.int64]:
     there, back = now - before, now - after
     jump = np.where(there * back > 0, np.minimum(np.abs(there), np.abs(back)), 0)
     is_jump = (jump >= JUMP_COUNTS) & (2 * jump >= np.maximum(before, after))
-    total: NDArray[np.int64] = jump.sum(axis=(1, 2), where=is_jump)
-    return total
+    return np.asarray(is_jump.any(axis=(1, 2)))
 
 
 def _passed_s(frames: Sequence[Frame]) -> float:

@@ -25,10 +25,17 @@ from touchd.daemon.events import (
     timestamp,
 )
 from touchd.daemon.feel import FeelMeter
-from touchd.daemon.monitor import REST_FRAMES, PadMonitor
+from touchd.daemon.monitor import PadMonitor
 from touchd.daemon.staleness import Staleness
-from touchd.daemon.tracker.network_check import Question
-from touchd.daemon.tracker.tracker import SETTLED_FRAMES, Onset, Release, TouchSettings, TouchTracker
+from touchd.daemon.tracker.network_check import ASK_FRAMES, Question
+from touchd.daemon.tracker.tracker import (
+    CHECK_FRAMES,
+    SETTLED_FRAMES,
+    Onset,
+    Release,
+    TouchSettings,
+    TouchTracker,
+)
 from touchd.drivers.errors import one_line
 from touchd.drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, NO_TOUCH, Frame, SensorState
 from touchd.drivers.pad.grid import GridFrame, Ring
@@ -37,16 +44,16 @@ from touchd.model.classifier import Classifier, ModelState, as_known
 STAGES: tuple[Stage, Stage, Stage] = ("early", "revised", "final")
 # After the final answer the network is asked about the last 0.8 s alone, three times a second while the hand
 # is there. The mean of two such windows shows whether the gesture has changed (docs/sessions.md).
-ONGOING_STRIDE_FRAMES = 18
 ONGOING_FRAMES = 42
 ONGOING_WINDOWS = 2
 # An answer that is due in a silence longer than a pat's lift-off waits until the silence proves to be a pause
-# (then it is included: in HAART 90 % right, 70 without) or the end (then it is excluded: 80 %, 60 with).
+# (then it is included: in HAART 90 % right, 70 without) or the end (then it is excluded: 80 %, 60 with). An
+# ended touch is answered from the touch and as many frames after it: that the hand has left says much;
+# without it, 11 instead of 33 of 35 single strokes are named.
 LIFT_OFF_FRAMES = 13
-# An ended touch is answered from the touch and the first number of frames after it: that the hand has left
-# says much; without it, 11 instead of 33 of 35 single strokes are named. If unsure, it waits for the second
-# number, half a second without contact: at the touch's end, answers come 0.1 to 0.2 s later on average.
-AFTER_FRAMES, UNSURE_FRAMES = LIFT_OFF_FRAMES, 27
+# If unsure, that answer waits for half a second without contact: at the touch's end, answers come 0.1 to
+# 0.2 s later on average.
+UNSURE_FRAMES = 27
 SHOWN_STRIDE_FRAMES = 3  # while there are viewers
 # Frames of a touch given to the network at once. A step of nine frames takes 0.25 ms longer than a step of
 # one; steps of nine take half the processor time of steps of three.
@@ -159,7 +166,7 @@ class Pipeline:
             return TOGETHER_FRAMES
         # The hand may have left, and the answer to that comes soon.
         off = touch.off_frames
-        ahead = (touch.due[0][0] - touch.length, AFTER_FRAMES - off, UNSURE_FRAMES - off)
+        ahead = (touch.due[0][0] - touch.length, LIFT_OFF_FRAMES - off, UNSURE_FRAMES - off)
         frames = min((each for each in ahead if each >= 0), default=0)
         if frames > soon:
             return TOGETHER_FRAMES
@@ -211,9 +218,9 @@ class Pipeline:
             # In a longer silence, the frames off the pad become fewer when the network sees a hand in it.
             if self._touch.off_frames <= longest:
                 self._answer_what_is_due(self._touch, frame)
-            if self._touch.off_frames in (AFTER_FRAMES, UNSURE_FRAMES):
+            if self._touch.off_frames in (LIFT_OFF_FRAMES, UNSURE_FRAMES):
                 self._answer_release(self._touch, frame)
-        elif frame.index % REST_FRAMES == 0 and self._tracker.is_untouched:
+        elif frame.index % CHECK_FRAMES == 0 and self._tracker.is_untouched:
             is_noisy, loose_lines = self._tracker.baseline.is_disturbed, self._tracker.loose_lines
             self._monitor.on_rest(is_noisy=is_noisy, loose_lines=loose_lines)
 
@@ -231,7 +238,7 @@ class Pipeline:
             due=list(zip(self._decision_settings.answer_at_frames, STAGES, strict=True)),
             degraded=any(earlier.bridged for earlier in so_far),
             meter=FeelMeter(self._tracker.baseline.counts, self._tracker.baseline.noise_floor, self._size_mm),
-            next_ongoing=self._final_frames + ONGOING_STRIDE_FRAMES,
+            next_ongoing=self._final_frames + ASK_FRAMES,
         )
         # The caller adds the newest frame, like those that follow.
         for earlier in self._frames(frame.index + 1, len(so_far))[:-1]:
@@ -246,7 +253,7 @@ class Pipeline:
         is_shown = bool(viewers) and length % SHOWN_STRIDE_FRAMES == 0
         # Feed the frame before an answer too, so that only one frame is left when it is due.
         is_at_mark = bool(touch.due) and touch.due[0][0] - length in (0, 1)
-        has_left = AFTER_FRAMES - touch.off_frames in (0, 1)
+        has_left = LIFT_OFF_FRAMES - touch.off_frames in (0, 1)
         is_due = is_at_mark or length - touch.fed >= FEED_FRAMES or has_left
         if length > self._final_frames or not (is_due or is_shown or touch.waits_until_sure):
             return
@@ -278,12 +285,12 @@ class Pipeline:
             due_length, stage = overdue[-1]
             self._answer_at(touch, stage, due_length, frame.host_s)
         if length >= touch.next_ongoing and self._decision_settings.ongoing:
-            touch.next_ongoing = length + ONGOING_STRIDE_FRAMES
+            touch.next_ongoing = length + ASK_FRAMES
             self._answer_ongoing(touch, frame.host_s)
 
     def _answer_release(self, touch: Touch, frame: GridFrame) -> None:
         """Answer a touch whose hand has left, at first only if it is sure; another contact continues it."""
-        seen = touch.length + AFTER_FRAMES - touch.off_frames
+        seen = touch.length + LIFT_OFF_FRAMES - touch.off_frames
         output = touch.outputs.get(seen) if touch.due and self._age_s(frame.index) <= self._stale_s else None
         is_over = touch.off_frames == UNSURE_FRAMES
         if output is not None and touch.decision.is_sure_of_released(output, is_over=is_over):
@@ -295,7 +302,7 @@ class Pipeline:
         if touch is None:
             return
         frames = release.last_index + 1 - release.first_index
-        seen = min(frames + AFTER_FRAMES, touch.length)
+        seen = min(frames + LIFT_OFF_FRAMES, touch.length)
         if touch.due and touch.answered_release != seen:
             self._answer_at(touch, "released", seen, since_s)
         elif touch.decision.told is None:

@@ -13,17 +13,16 @@ SECOND_FRAMES = 54
 
 # Time constant of the baseline, three seconds: a light touch of a second moves it by a third of a count.
 TRACK_FRAMES = 3.0 * FRAME_RATE_HZ
-# The baseline follows a deviation of at most one count, so that an undetected touch does not become rest.
-MOST_TRACKED = 1.0 / TRACK_FRAMES
 # Noise floor: two mean deviations, at least 1.6 counts, the mean floor of HAART's pad at rest.
 NOISE_DEVIATIONS = 2.0
 MIN_NOISE_FLOOR = 1.6
+# The most noise, and the most sway, that an untouched pad may have.
 MAX_DEVIATION_COUNTS = 4.0
 # White noise steps from frame to frame by the square root of two times its deviation.
 STEP_NOISE = 0.7
-# The noise floor is at least this many times the slow sway of a body that breathes.
+# The noise floor is at least this many times the slow sway of a body that breathes; with 1, 1 % more of its
+# touches are merged.
 SWAY_FLOOR = 1.3
-MAX_SWAY_COUNTS = 4.0
 # Noise is the mean change of a taxel over this many frames. Over one frame, slow hum looks like rest; over
 # three, a slow press adds hardly anything.
 NOISE_FRAMES = 3
@@ -63,8 +62,8 @@ class Baseline:
 
     def track(self, pressure: Taxels) -> None:
         """Move slowly towards (64,) counts of an untouched pad."""
-        step = (pressure - self.counts) / TRACK_FRAMES
-        self.counts += np.minimum(np.maximum(step, -MOST_TRACKED), MOST_TRACKED)
+        # By a count at most, so that an undetected touch does not become rest.
+        self.counts += np.minimum(np.maximum(pressure - self.counts, -1), 1) / TRACK_FRAMES
         if self._latest:
             moved, before = np.abs(pressure - self._latest[-1]), np.abs(pressure - self._latest[0])
             self._steps += (moved - self._steps) / TRACK_FRAMES
@@ -80,7 +79,7 @@ class Baseline:
 
     def track_sway(self, change: Taxels) -> None:
         """Take the (64,) counts by which an untouched pad moved from one half second to the next."""
-        self.sway = np.maximum(self.sway * SWAY_KEPT, np.minimum(change, MAX_SWAY_COUNTS))
+        self.sway = np.maximum(self.sway * SWAY_KEPT, np.minimum(change, MAX_DEVIATION_COUNTS))
         self._least_floor = np.maximum(self.sway * SWAY_FLOOR, MIN_NOISE_FLOOR)
 
     def _set_noise_floor(self) -> None:

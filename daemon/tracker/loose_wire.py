@@ -18,20 +18,18 @@ LINE_TAXELS = TAXELS // ROWS
 
 # The constants were chosen on the breathing robot's sessions: five of its 16 set-ups have a loose wire.
 # A jump is the difference between the means of the first and the last three of 15 frames.
-MEAN_FRAMES = 3
+STEP_FRAMES = 3
 LOOK_FRAMES = 15
-# The least height of a jump; how many of the line's taxels must move, and by how much.
+# The least height of a jump. By at most this share of it, other taxels move on average, and by at least as
+# much three quarters of the line's.
 LEAST_COUNTS = 2.0
-LEAST_TAXELS, TAXEL_COUNTS = 6, 0.7
-# The most that other taxels may move, on average and any one of them: in counts or, for a noisy pad, as a
-# share of the height.
-OTHERS_COUNTS, OTHERS_SHARE = 0.6, 0.25
-HIGHEST_COUNTS, HIGHEST_SHARE = 3.0, 1.0
-# Three frames make up the first share of the height; before and after, the line stays within the second.
-STEP_FRAMES, STEP_SHARE, STEADY_SHARE = 3, 0.7, 0.5
-# The jump back differs from the jump by at most this share.
-UNLIKE = 0.5
-# Learned heights halve in 77 seconds at rest, at nine checks a second.
+OTHERS_SHARE = 0.25
+# The most that any other taxel may move, or, for a noisy pad, the height.
+HIGHEST_COUNTS = 3.0
+# Three frames make up this share of the height; before and after, the line stays within it; and the jump back
+# differs from the jump by at most this share.
+STEP_SHARE = 0.5
+# Learned heights halve in two minutes at rest, at six checks a second.
 KEPT = 0.999
 
 
@@ -62,7 +60,7 @@ class LooseWire:
         """
         if self.lines:
             self._heights *= KEPT
-        change = (np.add.reduce(frames[-MEAN_FRAMES:]) - np.add.reduce(frames[:MEAN_FRAMES])) / MEAN_FRAMES
+        change = (np.add.reduce(frames[-STEP_FRAMES:]) - np.add.reduce(frames[:STEP_FRAMES])) / STEP_FRAMES
         means = (LINES @ change / LINE_TAXELS).tolist()
         line = max(range(len(means)), key=lambda line: abs(means[line]))
         height = abs(means[line])
@@ -70,18 +68,15 @@ class LooseWire:
             return False
         is_on_line = LINES[line] > 0
         jump, others = change[is_on_line], np.abs(change[~is_on_line])
-        if (
-            others.mean() > max(OTHERS_COUNTS, OTHERS_SHARE * height)
-            or others.max() > max(HIGHEST_COUNTS, HIGHEST_SHARE * height)
-            or np.count_nonzero(jump * np.sign(means[line]) >= TAXEL_COUNTS) < LEAST_TAXELS
-        ):
+        least = np.sort(jump * np.sign(means[line]))[LINE_TAXELS // 4]
+        if not others.mean() <= OTHERS_SHARE * height <= least or others.max() > max(HIGHEST_COUNTS, height):
             return False
         return _is_steady(frames[:, is_on_line].mean(axis=1), height) and self._learn(line, jump)
 
     def _learn(self, line: int, jump: Taxels) -> bool:
         """Learn the heights of a line once it has jumped there and back."""
         before = self._jumped.get(line)
-        if before is not None and np.abs(before + jump).sum() <= UNLIKE * np.abs(jump).sum():
+        if before is not None and np.abs(before + jump).sum() <= STEP_SHARE * np.abs(jump).sum():
             self._heights[LINES[line] > 0] += np.abs(jump)
             self._jumped.clear()
             name = f"row {line + 1}" if line < ROWS else f"column {line - ROWS + 1}"
@@ -98,4 +93,4 @@ def _is_steady(means: NDArray[np.float32], height: float) -> bool:
     steps = np.abs(means[STEP_FRAMES:] - means[:-STEP_FRAMES])
     at = int(steps.argmax())
     moved = max(float(np.ptp(means[: at + 1])), float(np.ptp(means[at + STEP_FRAMES :])))
-    return float(steps[at]) >= STEP_SHARE * height and moved <= STEADY_SHARE * height
+    return float(steps[at]) >= STEP_SHARE * height and moved <= STEP_SHARE * height

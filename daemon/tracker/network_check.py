@@ -19,16 +19,14 @@ ASK_FRAMES, ANSWERS = 18, 3
 # Mean p_no_touch below which they begin a touch, and above which they end one. At 0.15, a jolt of the
 # breathing robot begins one.
 TOUCH, NONE = 0.12, 0.5
-# A single answer below this keeps a touch from ending.
+# A single answer below this keeps a touch from ending. If answers at rest are, the network does not know the
+# pad, and is ignored.
 DOUBT = 0.2
 # On a pad unlike those it learned from, as under mains hum, p_no_touch is lower at rest. The limits are then
-# this share of it. Below the second constant, the network does not know the pad at rest and is ignored.
-REST_SHARE, KNOWN_REST = 0.6, 0.2
-# It knows a pad from this many answers at rest on. A firm pad's first answers may be misleadingly high.
-KNOWN_PAD_ANSWERS = 4
-# Shares by which p_no_touch at rest follows higher and lower answers: more slowly down, since they may come
-# from an unnoticed touch.
-RISES, FALLS = 0.1, 0.05
+# this share of it.
+REST_SHARE = 0.6
+# Share by which p_no_touch at rest follows an answer: slowly, since it may come from an unnoticed touch.
+FOLLOWS = 0.05
 # At rest, frames count as those in which no touch was seen, without asking again, if their means differ by no
 # more than this, summed over the pad, and no taxel exceeds its peak by more. HAART's do nine times in ten.
 SAME_COUNTS, SAME_PEAK_COUNTS = 13.0, 2.0
@@ -51,12 +49,13 @@ class NetworkCheck:
     @property
     def knows_rest(self) -> bool:
         """Whether the network recognises this pad at rest as untouched."""
-        return self._at_rest >= KNOWN_REST
+        return self._at_rest >= DOUBT
 
     @property
     def knows_pad(self) -> bool:
         """Whether the network can tell a hand from what it has left; it has learned from no finer pad."""
-        return not self._is_finer and self.knows_rest and self._answers_at_rest >= KNOWN_PAD_ANSWERS
+        # A firm pad's first answers may be misleadingly high.
+        return not self._is_finer and self.knows_rest and self._answers_at_rest > ANSWERS
 
     def forget_rest(self) -> None:
         """Forget the answers at rest: it may be another pad."""
@@ -83,7 +82,7 @@ class NetworkCheck:
         self._answers.append(answer)
         self._answers_at_rest += 1
         at_rest = self._at_rest or answer
-        self._at_rest = at_rest + (answer - at_rest) * (RISES if answer > at_rest else FALLS)
+        self._at_rest = at_rest + (answer - at_rest) * FOLLOWS
         return self.knows_rest and len(self._answers) == ANSWERS and self._mean < self._limit(TOUCH)
 
     def _answered_before(self, frames: Window) -> float | None:

@@ -32,24 +32,24 @@ from touchd.drivers.pad.protocol_counts import ProtocolCounts
 
 # The units in which a clock may count, in milliseconds.
 UNITS_MS = (1.0, 0.001, 1000.0)
-# A window's rate may be off by this share: frames come late, while quartz clocks differ by far less.
+# A window's rate may be off by this share: frames come late, while quartz clocks differ by far less. Windows
+# whose rates differ by more do not agree; a stall or a flood makes them differ.
 CLOSE = 0.2
-# Windows of arrival, and how many must agree.
-WINDOW_S, LEAST_FRAMES = 0.5, 5
-WINDOWS = 3
-# A longer gap between two frames begins a new window: the line, or the daemon, was held up.
-PAUSE_S = 0.4
-# Windows agree if their rates differ by no more than this factor; a stall or a flood makes them differ.
-ALIKE = 1.3
-# A clock stands still if this share of frames repeats the one before; a line may send each frame twice.
-STANDING_SHARE = 0.75
+# Windows of arrival, and how many must agree. A gap as long as one begins a new one: the line, or the daemon,
+# was held up.
+WINDOW_S, WINDOWS = 0.5, 3
+# So many frames show a rate. If as many in a row come after two periods or more, a pad without a clock is
+# slower than stated; else the stamps of a pad of 8 to 12 frames a second have gaps, in which touches end.
+FEW_FRAMES = 5
 NOT_USED = "; it is not used, and frames are dated by their arrival"
 
-# Below 256 ms: a flipped bit that the checksum cannot see moves the clock by at least that.
-MAX_STEP_MS = 250
+# From one frame to the next. Below 256 ms: a flipped bit that the checksum cannot see moves the clock by at
+# least that.
+MAX_STEP_S = 0.25
 MAX_HELD = 8
-# A clock that was followed for this long before it steps back has restarted, unless it jumped ahead lately.
-FOLLOWED_S, LATELY_S = 0.25, 60.0
+# A clock that was followed for longer than a step, and then steps back, has restarted, unless it jumped ahead
+# lately.
+LATELY_S = 60.0
 
 
 class FrameClock:
@@ -106,18 +106,19 @@ class FrameClock:
     def _look(self, stamp: float, host_s: float) -> None:
         """Compare the clock with the frames' arrival; choose its unit once there is enough evidence."""
         window = self._window
-        if window is None or host_s - window.last_s > PAUSE_S:
+        if window is None or host_s - window.last_s > WINDOW_S:
             self._window = _Window(stamp, host_s, stamp, host_s)
             return
         window.frames += 1
         window.standing += stamp <= window.last
         window.last, window.last_s = stamp, host_s
-        if window.last_s - window.first_s < WINDOW_S or window.frames < LEAST_FRAMES:
+        if window.last_s - window.first_s < WINDOW_S or window.frames < FEW_FRAMES:
             return
         self._windows.append(window)
         self._window = _Window(stamp, host_s, stamp, host_s)
-        # Until it is known that a number stands still, all frames are refused as duplicates.
-        if len(self._windows) == WINDOWS or window.standing > STANDING_SHARE * window.frames:
+        # Until it is known that a number stands still, all frames are refused as duplicates. A line may send
+        # each frame twice.
+        if len(self._windows) == WINDOWS or 4 * window.standing > 3 * window.frames:
             self._choose()
 
     def _choose(self) -> None:
@@ -126,7 +127,7 @@ class FrameClock:
         rates = sorted((each.last - each.first) / (each.last_s - each.first_s) for each in self._windows)
         steps = sorted((each.last - each.first) / each.frames for each in self._windows)
         stands = any(window.standing > window.frames // 4 for window in self._windows)
-        if stands or rates[-1] >= ALIKE * rates[0]:
+        if stands or rates[-1] >= (1 + CLOSE) * rates[0]:
             if all(2 * w.delivered < w.frames for w in self._windows):
                 self._use(None, f"the pad's clock stands still or jumps{NOT_USED}")
             return
@@ -220,7 +221,7 @@ class ClockCheck:
             return
         if (first.sensor_ms - last.sensor_ms) % CLOCK_MODULUS < CLOCK_MODULUS // 2:
             self._jumped_s = first.host_s
-        elif first.host_s - since_s >= FOLLOWED_S and first.host_s - self._jumped_s >= LATELY_S:
+        elif first.host_s - since_s >= MAX_STEP_S and first.host_s - self._jumped_s >= LATELY_S:
             later_ms = max(1, round(1000 * (first.host_s - last.host_s)))
             self._ahead_ms += last.sensor_ms + later_ms - first.sensor_ms
             self._counts.restarted()
@@ -237,17 +238,13 @@ class ClockCheck:
 
 
 def _steps_on(earlier_ms: int, later_ms: int) -> bool:
-    return 0 < (later_ms - earlier_ms) % CLOCK_MODULUS <= MAX_STEP_MS
+    return 0 < (later_ms - earlier_ms) % CLOCK_MODULUS <= 1000 * MAX_STEP_S
 
 
 # Phase and period follow by these shares of a frame's arrival error. A jitter of 16 ms (a USB adapter's)
 # becomes 1.6 ms; a pad 5 % off its stated rate is followed within a second.
 PHASE_GAIN = 0.1
 PERIOD_GAIN = 0.005
-LOST_S = 0.25
-# If this many frames in a row come after two periods or more, the pad is slower than stated. Without this,
-# the stamps of a pad of 8 to 12 frames a second have gaps, in which touches end.
-SLOW_FRAMES = 5
 # Frames that flood in are stamped a millisecond apart; the clock restarts once it leads by this much.
 AHEAD_MS = 1000
 
@@ -255,7 +252,7 @@ AHEAD_MS = 1000
 class ArrivalClock:
     """Stamps frames of a pad without a clock by their arrival; a phase-locked loop smooths the jitter.
 
-    rate_hz: the pad's rate, as far as it is known. A frame more than LOST_S late resets it.
+    rate_hz: the pad's rate, as far as it is known. A frame more than MAX_STEP_S late resets it.
     """
 
     def __init__(self, rate_hz: float) -> None:
@@ -273,16 +270,16 @@ class ArrivalClock:
         """Return the stamp (uint32 ms) of a frame that arrived at `host_s`; it falls only after a flood."""
         step_s, self._arrived_s = host_s - self._arrived_s, host_s
         self._slow_s = [*self._slow_s, step_s] if step_s >= 2 * self._period_s else []
-        if len(self._slow_s) == SLOW_FRAMES:
+        if len(self._slow_s) == FEW_FRAMES:
             self._period_s, self._expected_s = min(self._slow_s), None
         expected_s = self._expected_s
-        if expected_s is None or abs(host_s - expected_s) > LOST_S:
+        if expected_s is None or abs(host_s - expected_s) > MAX_STEP_S:
             expected_s = host_s
         else:
             off_s = host_s - expected_s
             expected_s += PHASE_GAIN * off_s
             period_s = self._period_s + PERIOD_GAIN * off_s
-            self._period_s = min(max(period_s, self._stated_s / 4), LOST_S)
+            self._period_s = min(max(period_s, self._stated_s / 4), MAX_STEP_S)
         self._expected_s = expected_s + self._period_s
         now_ms = round(1000 * expected_s)
         is_ahead = self._last_ms - now_ms > AHEAD_MS

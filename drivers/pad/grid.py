@@ -25,8 +25,7 @@ IN_STEP_FRAMES = 27
 LOST_MS = 1.75 * PERIOD_MS
 # The longest gap bridged by interpolation, which marks the touch as degraded. A longer gap ends the touch. At
 # 0.15 s, 10 % of the third study's touches are detected as more than one; at 0.2 s, 9 %.
-MAX_GAP_S = 0.2
-MAX_GAP_MS = 1000 * MAX_GAP_S
+MAX_GAP_MS = 200
 # If the clock runs back by less, a frame came late; if by more, the sensor has restarted.
 LATE_MS = 1000
 

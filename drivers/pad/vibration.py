@@ -23,32 +23,23 @@ Pressures = NDArray[np.float32]
 # Six times a second, fit the last two thirds of a second.
 STRIDE_FRAMES = 9
 WINDOW_FRAMES = 36
-# A sine counts if it has this amplitude in counts and explains this share of the variance of the pad's mean.
-# A new vibration reaches both after about 20 frames. Of 802 recordings of touches and rest one has such a
-# sine; its pad shakes.
+# A sine counts if it has this amplitude in counts. A new vibration reaches it after about 20 frames. Of 802
+# recordings of touches and rest one has such a sine; its pad shakes.
 LEAST_COUNTS = 0.5
+# It must explain this share of the variance of the pad's mean.
 LEAST_EXPLAINED = 0.5
-# If the pad's mean varies by less, the pad is calm, and no sine is searched for.
-LEAST_VARIANCE = LEAST_COUNTS**2 / 4
-# How well all taxels follow the sine: the lower quarter must reach this share of the upper tenth.
-# Constant taxels, such as a row with a broken wire, do not count; at least LEAST_ALIVE must vary.
-QUARTER, HIGH = 16 / 64, 57 / 64
+# How well all taxels follow it: those of the lower quarter must reach this share of the upper tenth.
 QUARTER_SHARE = 0.4
-LEAST_ALIVE = 48
 # A fit whose phase differs by more is due to another vibration on an untouched pad, and is learned at once;
 # under a hand it is due to the hand or to a step of the rest.
 LIKE_RADIANS = 0.4
-# Learning rates of weights, phase and frequency, per fit.
-LEARNED, PHASE_LEARNED, TURN_LEARNED = 0.3, 0.3, 0.1
-# Fit the taxel at the lower third by load: a hand seldom covers more than two thirds.
-LIGHT = 19
-# If subtracting the sine quadruples the variance over ENDED_FRAMES, the vibration has ended.
-ENDED_FRAMES, ENDED = 18, 4.0
-
+# Weights and phase follow a fit by the first share, frequency by the second.
+LEARNED, TURN_LEARNED = 0.3, 0.1
+# If subtracting the sine quadruples the variance of half a window, the vibration has ended.
+ENDED = 4.0
 # Weights are learned from frames in which the sine is positive. If a period takes two to four frames, these
-# may all have the same value; then all frames are used.
-LEAST_SPREAD = 0.03
-LEAST_SCALE = 0.1
+# may all have the same value, with less than this share of the sine's variance; then all frames are used.
+SAME_SHARE = 0.03
 
 AGO = np.arange(1 - WINDOW_FRAMES, 1)
 HANN = np.hanning(WINDOW_FRAMES + 2)[1:-1]
@@ -85,10 +76,11 @@ class _Wave:
     def fit(self, frames: Pressures) -> complex:
         """Fit the sine to the light taxels."""
         follows = self.weights > 0
-        light = np.sort((frames - self.rest)[:, follows] / self.weights[follows], axis=1)[:, LIGHT]
+        # At the lower third by load, for a hand seldom covers more than two thirds.
+        light = np.sort((frames - self.rest)[:, follows] / self.weights[follows], axis=1)
         sine = self.turn * AGO
         parts = np.stack([*LEVEL_AND_SLOPE, np.cos(sine), -np.sin(sine)], axis=1)
-        *_, real, imaginary = np.linalg.lstsq(parts, light, rcond=None)[0].tolist()
+        *_, real, imaginary = np.linalg.lstsq(parts, light[:, light.shape[1] // 3], rcond=None)[0].tolist()
         return complex(real, imaginary)
 
     def off(self, frames: Pressures) -> float:
@@ -127,7 +119,8 @@ class Vibration:
         wave = self._wave
         common = np.concatenate(self._means)
         common -= np.add.reduce(common) / WINDOW_FRAMES
-        if wave is None and common @ common < WINDOW_FRAMES * LEAST_VARIANCE:
+        if wave is None and common @ common < WINDOW_FRAMES * (LEAST_COUNTS / 2) ** 2:
+            # The pad is calm.
             return
         frames = np.concatenate(self._blocks)
         found = _find(frames, common)
@@ -139,7 +132,7 @@ class Vibration:
             self._wave = None
         elif wave is not None and abs(off) < LIKE_RADIANS:
             wave.turn += TURN_LEARNED * off / STRIDE_FRAMES
-            wave.now *= cmath.exp(1j * PHASE_LEARNED * off)
+            wave.now *= cmath.exp(1j * LEARNED * off)
             if found is not None:
                 new = _learn(frames, wave.turn, wave.now)
                 wave.weights += LEARNED * (new.weights - wave.weights)
@@ -149,8 +142,9 @@ class Vibration:
 
 def _has_ended(wave: _Wave, frames: Pressures) -> bool:
     """Whether the pad no longer vibrates: subtracting the sine adds to what the last frames vary."""
-    newest = frames[-ENDED_FRAMES:]
-    left = wave.without(newest, wave.values(AGO[-ENDED_FRAMES:]))
+    half = WINDOW_FRAMES // 2
+    newest, values = frames[-half:], wave.values(AGO[-half:])
+    left = wave.without(newest, values)
     return bool(left.mean(axis=1).var() > ENDED * newest.mean(axis=1).var())
 
 
@@ -170,9 +164,9 @@ def _find(frames: Pressures, common: NDArray[np.float64]) -> tuple[float, comple
         return None
     alive = frames[:, _is_alive(frames)]
     following = np.sort((WAVES[at] @ (alive - alive.mean(axis=0)) / now).real)
-    if len(following) < LEAST_ALIVE:
+    if 4 * len(following) < 3 * frames.shape[1]:
         return None
-    quarter, high = (following[int(share * len(following))] for share in (QUARTER, HIGH))
+    quarter, high = following[len(following) // 4], following[-len(following) // 10]
     return (float(TURNS[at]), now) if quarter >= QUARTER_SHARE * high else None
 
 
@@ -186,12 +180,12 @@ def _learn(frames: Pressures, turn: float, now: complex) -> _Wave:
     """Learn each taxel's weight from an untouched pad, while the sine is positive: no count is cut at 0."""
     values = (now * np.exp(1j * turn * AGO)).real
     above, upper = values[values > 0], frames[values > 0]
-    if above.var() < LEAST_SPREAD * abs(now) ** 2:
+    if above.var() < SAME_SHARE * abs(now) ** 2:
         above, upper = values, frames
     off = above - above.mean()
     slopes = off @ upper / (off @ off)
     # The median slope is 0 if more than half of the taxels are cut off at the top.
-    scale = max(float(np.median(slopes)), LEAST_SCALE)
+    scale = max(float(np.median(slopes)), SAME_SHARE)
     weights = np.where(_is_alive(frames), np.clip(slopes / scale, 0.3, 2.0), 0.0)
     rest = upper.mean(axis=0) - weights * scale * above.mean()
     return _Wave(turn, now * scale, weights.astype(np.float32), rest.astype(np.float32))

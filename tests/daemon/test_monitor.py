@@ -21,6 +21,7 @@ from touchd.daemon.config import SensorSettings, Settings
 from touchd.daemon.events import SensorEvent
 from touchd.daemon.monitor import COMPARE_S, NOISY_CHECKS, PadMonitor, TaxelFaults
 from touchd.daemon.playback.rig import encoder_for
+from touchd.daemon.tracker.tracker import CHECK_FRAMES
 from touchd.drivers.fakes.encode import encode_frame
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.faults import AGAIN_S
@@ -124,7 +125,7 @@ def test_values_that_jump_from_frame_to_frame_degrade_the_pad(cells: int, load: 
 
 
 @pytest.mark.parametrize(
-    ("cells", "jump", "is_said"), [(2, 50, True), (2, 49, False), (3, 40, True), (3, 39, False)]
+    ("cells", "jump", "is_said"), [(1, 100, True), (1, 99, False), (64, 100, True), (64, 99, False)]
 )
 def test_jumps_of_a_hundred_counts_a_frame_are_said(cells: int, jump: int, is_said: bool) -> None:
     counts = sound_pad(20)
@@ -550,7 +551,7 @@ def test_a_noisy_pad_is_degraded_after_five_seconds() -> None:
         monitor.on_rest(is_noisy=True, loose_lines=())
         if states_of(monitor, [check]):
             break
-    assert check / 9 == pytest.approx(5, abs=0.2)
+    assert check * CHECK_FRAMES / RATE_HZ == pytest.approx(5, abs=0.2)
 
 
 def test_a_noisy_pad_is_degraded_until_it_is_calm() -> None:

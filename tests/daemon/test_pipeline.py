@@ -514,14 +514,14 @@ class CountingMonitor(PadMonitor):
         self.rests += 1
 
 
-def test_rest_is_looked_at_nine_times_a_second_while_nothing_touches() -> None:
+def test_rest_is_looked_at_six_times_a_second_while_nothing_touches() -> None:
     monitor, rests, emitted = CountingMonitor(), list[int](), list[Event]()
     pipeline = Pipeline(PipelineSettings(), Scripted(), emitted.append, STOPPED, monitor=monitor)
     scans = np.concatenate([nothing(3.0), nothing(2.0), palm(2.0)])
     for number, counts in enumerate(MadePad().counts(scans)):
         pipeline.on_frame(Frame(round(number * 1000 / 54), 99.998, counts))
         rests.append(monitor.rests)
-    assert rests[54 * 5 - 1] - rests[54 * 3 - 1] == 18
+    assert rests[54 * 5 - 1] - rests[54 * 3 - 1] == 12
     # A hand is seen a frame late.
     assert rests[-1] == rests[54 * 5]
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from touchd.daemon import monitor, pipeline
 from touchd.daemon.events import Event, SensorEvent
-from touchd.daemon.tracker import baseline, network_check, tracker
+from touchd.daemon.tracker import baseline, loose_wire, network_check, tracker
 from touchd.drivers.pad import vibration
 from touchd.model.classifier import SHIPPED_MODEL, Classifier, ModelState
 from touchd.model.studies.folders import study_parser
@@ -40,6 +40,7 @@ GROUPS: dict[ModuleType, tuple[str, ...]] = {
     tracker: DETECTION,
     baseline: DETECTION,
     network_check: DETECTION,
+    loose_wire: ("robot", "breathing"),
     monitor: ("HAART", "robot", "noise"),
     vibration: ("hum", "motor"),
 }
@@ -51,8 +52,8 @@ FIXED = {
     "SMOOTH_FRAMES",
     "STRIDE_FRAMES",
     "WINDOW_FRAMES",
-    "BLOCK_FRAMES",
-    "LIGHT",
+    "LOOK_FRAMES",
+    "LINE_TAXELS",
 }
 FACTORS = {"halved": 0.5, "doubled": 2.0}
 SAMPLE = 12
