@@ -3,6 +3,7 @@
 import errno
 import os
 import re
+import socket
 import sys
 
 from touchd.drivers.errors import TouchdError, one_line
@@ -31,6 +32,9 @@ def complain(error: Exception) -> int:
         what = f"{error.filename or 'standard output'}: cannot be written ({error.strerror})"
     elif isinstance(error, OSError) and error.errno in (errno.EACCES, errno.ENAMETOOLONG):
         what = f"{error.filename}: {error.strerror}; give another path, or put sudo before the command"
+    elif isinstance(error.__cause__, socket.gaierror) and error.__cause__.errno == socket.EAI_AGAIN:
+        # The network is not up yet: systemd starts the service again.
+        code = OUR_MISTAKE
     elif not isinstance(error, TouchdError):
         what = " ".join(f"internal error: {type(error).__name__}: {error}; --debug shows the trace".split())
         if os.environ.get("PYTHONPATH"):

@@ -88,6 +88,10 @@ def _why(error: OSError, port: int) -> str:
         return f"another program does, perhaps another touchd; end it, or choose another port than {port}"
     if error.errno == errno.EACCES:
         return "ports below 1024 are the system's; choose a higher one"
+    if error.errno == socket.EAI_AGAIN:
+        return (
+            "no name server answers; wait for the network, or give a number: 0.0.0.0 serves the page to all"
+        )
     if error.errno == errno.EADDRNOTAVAIL or isinstance(error, socket.gaierror):
         return "this computer has no such address; 127.0.0.1 is this computer alone, 0.0.0.0 the network too"
     return f"{error.strerror}; choose another address"

@@ -12,6 +12,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from touchd.daemon import cli
 from touchd.daemon.config import ConfigError, LiveSettings
+from touchd.daemon.failure import complain
 from touchd.daemon.live.address import LiveError, is_own_host, listen, parse_address
 from touchd.daemon.live.page import FOLDER
 from touchd.daemon.live.server import HANDSHAKE_S, MOST_CONNECTIONS
@@ -184,6 +185,20 @@ def test_a_service_started_before_the_network_serves_its_address_later(
     with listen(LiveSettings(host="192.0.2.1", port=0)) as listening:
         assert listening.getsockname()[0] == "192.0.2.1"
     assert "this computer does not have the address 192.0.2.1 yet; waiting for it" in caplog.text
+
+
+def test_a_service_started_before_any_name_server_is_started_again(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def unanswered(*_: object, **__: object) -> None:
+        raise socket.gaierror(socket.EAI_AGAIN, "Temporary failure in name resolution")
+
+    monkeypatch.setattr(socket, "getaddrinfo", unanswered)
+    with pytest.raises(LiveError) as raised:
+        listen(LiveSettings(host="robot.lab", port=0))
+    # systemd does not start it again after 2.
+    assert complain(raised.value) == 1
+    assert "cannot listen on robot.lab port 0: no name server answers" in capsys.readouterr().err
 
 
 def test_a_name_that_is_this_computer_alone_is_warned_of(
