@@ -14,8 +14,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.daemon.tracker.baseline import SECOND_FRAMES, TAXELS
-from touchd.daemon.tracker.tracker import CHECK_FRAMES
+from touchd.daemon.tracker.baseline import TAXELS
+from touchd.daemon.tracker.tracker import CALIBRATION_FRAMES, CHECK_FRAMES
 from touchd.drivers.faults import FaultLog
 from touchd.drivers.frame import (
     CLOCK_MODULUS,
@@ -37,11 +37,9 @@ NOTE_S = 1.0
 # Faults that prevent detection, of light touches at least; others cost a part of the pad or some frames.
 DEGRADING = ("gaps", "restarts", "frozen", "garbled", "noise")
 
-# A fault is reported once it has lasted so long: the taxels of one broken wire do not fall still at once.
-# After as long a pause in their arrival, frames prove nothing: the daemon may have been suspended.
+# A fault is reported once it has lasted for this time, since the taxels of one broken wire do not fall still
+# at once. After a longer pause in their arrival, frames prove nothing: the daemon may have been suspended.
 LASTS_S = 2.0
-# Recognising a touch takes half a second of frames without a gap.
-WITHOUT_GAP_FRAMES = SECOND_FRAMES // 2
 
 # Interval at which the parser's counts are compared. One lost frame in fifty is a fault that will grow.
 COMPARE_S = 10.0
@@ -152,11 +150,11 @@ class PadMonitor:
 
 
 class _Gaps:
-    """Whether frames come close enough together, by the pad's clock, for touches to be recognised."""
+    """Whether frames come close enough together, by the pad's clock, for rest to be measured."""
 
     def __init__(self) -> None:
         self.faults: dict[str, str] = {}
-        self._frames: deque[Frame] = deque(maxlen=WITHOUT_GAP_FRAMES)
+        self._frames: deque[Frame] = deque(maxlen=CALIBRATION_FRAMES)
         self._without_gap = 0
         self._since_s = -math.inf
 
@@ -166,10 +164,10 @@ class _Gaps:
         self._without_gap = 0 if restarted else self._without_gap + 1
         if is_first:
             self._since_s = frame.host_s
-        if self._without_gap >= WITHOUT_GAP_FRAMES:
+        if self._without_gap >= CALIBRATION_FRAMES:
             self._since_s = frame.host_s
             took_ms = (frame.sensor_ms - self._frames[0].sensor_ms) % CLOCK_MODULUS
-            rate_hz = 1000 * (WITHOUT_GAP_FRAMES - 1) / took_ms if took_ms else FRAME_RATE_HZ
+            rate_hz = 1000 * (CALIBRATION_FRAMES - 1) / took_ms if took_ms else FRAME_RATE_HZ
             if rate_hz >= MIN_RATE_HZ - 0.5:
                 self.faults.clear()
             else:

@@ -62,7 +62,7 @@ class Baseline:
 
     def track(self, pressure: Taxels) -> None:
         """Move slowly towards (64,) counts of an untouched pad."""
-        # By a count at most, so that an undetected touch does not become rest.
+        # At most by one count a time constant, so that an undetected touch does not become rest.
         self.counts += np.minimum(np.maximum(pressure - self.counts, -1), 1) / TRACK_FRAMES
         if self._latest:
             moved, before = np.abs(pressure - self._latest[-1]), np.abs(pressure - self._latest[0])

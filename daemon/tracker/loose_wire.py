@@ -20,11 +20,12 @@ LINE_TAXELS = TAXELS // ROWS
 # A jump is the difference between the means of the first and the last three of 15 frames.
 STEP_FRAMES = 3
 LOOK_FRAMES = 15
-# The least height of a jump. By at most this share of it, other taxels move on average, and by at least as
-# much three quarters of the line's.
+# The least height of a jump.
 LEAST_COUNTS = 2.0
+# Three quarters of the line's taxels move by at least this share of the height; the others move by at most as
+# much on average.
 OTHERS_SHARE = 0.25
-# The most that any other taxel may move, or, for a noisy pad, the height.
+# The most that a single other taxel may move; on a noisy pad, it may move by the height.
 HIGHEST_COUNTS = 3.0
 # Three frames make up this share of the height; before and after, the line stays within it; and the jump back
 # differs from the jump by at most this share.
@@ -68,8 +69,8 @@ class LooseWire:
             return False
         is_on_line = LINES[line] > 0
         jump, others = change[is_on_line], np.abs(change[~is_on_line])
-        least = np.sort(jump * np.sign(means[line]))[LINE_TAXELS // 4]
-        if not others.mean() <= OTHERS_SHARE * height <= least or others.max() > max(HIGHEST_COUNTS, height):
+        share, lower_quarter = OTHERS_SHARE * height, np.sort(jump * np.sign(means[line]))[LINE_TAXELS // 4]
+        if lower_quarter < share or others.mean() > share or others.max() > max(HIGHEST_COUNTS, height):
             return False
         return _is_steady(frames[:, is_on_line].mean(axis=1), height) and self._learn(line, jump)
 

@@ -19,8 +19,8 @@ ASK_FRAMES, ANSWERS = 18, 3
 # Mean p_no_touch below which they begin a touch, and above which they end one. At 0.15, a jolt of the
 # breathing robot begins one.
 TOUCH, NONE = 0.12, 0.5
-# A single answer below this keeps a touch from ending. If answers at rest are, the network does not know the
-# pad, and is ignored.
+# A single answer below this keeps a touch from ending. If the answers at rest are below it, the network does
+# not know the pad, and is ignored.
 DOUBT = 0.2
 # On a pad unlike those it learned from, as under mains hum, p_no_touch is lower at rest. The limits are then
 # this share of it.

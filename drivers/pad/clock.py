@@ -35,20 +35,21 @@ UNITS_MS = (1.0, 0.001, 1000.0)
 # A window's rate may be off by this share: frames come late, while quartz clocks differ by far less. Windows
 # whose rates differ by more do not agree; a stall or a flood makes them differ.
 CLOSE = 0.2
-# Windows of arrival, and how many must agree. A gap as long as one begins a new one: the line, or the daemon,
-# was held up.
+# A window of arrival, and how many must agree. After a gap longer than a window, a new one begins: the line,
+# or the daemon, was held up.
 WINDOW_S, WINDOWS = 0.5, 3
-# So many frames show a rate. If as many in a row come after two periods or more, a pad without a clock is
-# slower than stated; else the stamps of a pad of 8 to 12 frames a second have gaps, in which touches end.
+# A rate is measured over five frames or more. If five frames in a row come after two periods or more, a pad
+# without a clock is slower than stated: without this rule, the stamps of a pad of 8 to 12 frames a second
+# have gaps, in which touches end.
 FEW_FRAMES = 5
 NOT_USED = "; it is not used, and frames are dated by their arrival"
 
-# From one frame to the next. Below 256 ms: a flipped bit that the checksum cannot see moves the clock by at
-# least that.
+# The longest step from one frame to the next. Below 256 ms: a flipped bit that the checksum cannot see moves
+# the clock by at least that.
 MAX_STEP_S = 0.25
 MAX_HELD = 8
-# A clock that was followed for longer than a step, and then steps back, has restarted, unless it jumped ahead
-# lately.
+# A clock that steps back after it was followed for MAX_STEP_S has restarted, unless it jumped ahead within
+# this time.
 LATELY_S = 60.0
 
 
@@ -116,8 +117,8 @@ class FrameClock:
             return
         self._windows.append(window)
         self._window = _Window(stamp, host_s, stamp, host_s)
-        # Until it is known that a number stands still, all frames are refused as duplicates. A line may send
-        # each frame twice.
+        # Until it is known that a number stands still, all frames are refused as duplicates. Half of them may
+        # be duplicates: a line may send each frame twice.
         if len(self._windows) == WINDOWS or 4 * window.standing > 3 * window.frames:
             self._choose()
 

@@ -165,8 +165,9 @@ def _find(frames: Pressures, common: NDArray[np.float64]) -> tuple[float, comple
     alive = frames[:, _is_alive(frames)]
     following = np.sort((WAVES[at] @ (alive - alive.mean(axis=0)) / now).real)
     if 4 * len(following) < 3 * frames.shape[1]:
+        # Taxels that stand still, such as a row with a broken wire, do not count, but most have to vary.
         return None
-    quarter, high = following[len(following) // 4], following[-len(following) // 10]
+    quarter, high = following[len(following) // 4], following[9 * len(following) // 10]
     return (float(TURNS[at]), now) if quarter >= QUARTER_SHARE * high else None
 
 
