@@ -107,7 +107,7 @@ MUTATION := $(VENV)/mutation
 TESTS ?= tests
 SAMPLE ?= 0
 mutants: $(DEVELOPMENT)
-	@test -n '$(FILES)' || { echo 'make mutants FILES=daemon/decide.py TESTS=tests/daemon/test_decide.py'; exit 1; }
+	@test -n '$(FILES)' || { echo 'make mutants FILES=daemon/path/decide.py TESTS=tests/daemon/test_decide.py'; exit 1; }
 	@test -e $(MUTATION)/bin/cosmic-ray || { $(BIN)/python -m venv $(MUTATION) && \
 	  $(MUTATION)/bin/python -m pip install -q --disable-pip-version-check 'cosmic-ray>=8.7,<9'; }
 	@PYTHONPATH=.:tests nice -n 15 $(BIN)/python -m by_hand.mutants --tool $(MUTATION) --sample $(SAMPLE) \

@@ -8,7 +8,7 @@ from typing import NoReturn
 if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
-from touchd.daemon.cli import main
+from touchd.daemon.app.cli import main
 
 
 def program() -> NoReturn:

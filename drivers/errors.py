@@ -3,17 +3,17 @@
 Every error that a user sees; the command shows its message and exits with code 2:
 
 TouchdError
-    UsageError         daemon/usage.py              the command line
-    ConfigError        daemon/strict_yaml.py        the configuration
+    UsageError         daemon/app/usage.py              the command line
+    ConfigError        daemon/app/strict_yaml.py        the configuration
     PathError          drivers/errors.py            a path's home
     SensorError        drivers/pad/why_not.py       the pad's port
     FormatError        drivers/pad/format.py        the description of a pad
     RobotError         drivers/robot/session.py     the robot's address, login or library
     ModelError         model/classifier.py          a model file
     RecordingError     drivers/recording.py         a recording
-    JournalError       daemon/journal.py            the journal
-    LabelError         daemon/labels.py             a label for a touch
-    TagError           daemon/tags.py               a tag for touches
+    JournalError       daemon/sinks/journal.py            the journal
+    LabelError         daemon/sinks/labels.py             a label for a touch
+    TagError           daemon/sinks/tags.py               a tag for touches
     BridgeError        daemon/bridges/bridge.py     a bridge's settings or library
     LiveError          daemon/live/address.py       the live page's address or library
     PlotError          daemon/plot/plot.py          a picture

@@ -6,7 +6,7 @@ import re
 import sys
 from contextlib import redirect_stdout, suppress
 
-from touchd.daemon import cli
+from touchd.daemon.app import cli
 
 PLACES = "touchd.yaml, ~/.config/touchd/touchd.yaml, /etc/touchd/touchd.yaml"
 FILES = f"{PLACES}: the first that is there is the configuration"

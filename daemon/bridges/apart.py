@@ -21,9 +21,9 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from touchd.daemon.bridge_settings import LslSettings, Ros2Settings
 from touchd.daemon.bridges.bridge import GOODBYE_S, POLL_S, Bridge, ConnectedBridge, bridge_class
-from touchd.daemon.events import Event, encode
+from touchd.daemon.bridges.settings import LslSettings, Ros2Settings
+from touchd.daemon.path.events import Event, encode
 from touchd.drivers.frame import COLUMNS, ROWS, Frame
 
 MOST_MB = 16

@@ -8,8 +8,8 @@ from abc import abstractmethod
 from collections.abc import Sequence
 from typing import Any, TypeAlias
 
-from touchd.daemon.events import Event
-from touchd.daemon.sinks import QueuedSink
+from touchd.daemon.path.events import Event
+from touchd.daemon.sinks.sink import QueuedSink
 from touchd.drivers.errors import TouchdError
 from touchd.drivers.faults import Backoff
 from touchd.drivers.frame import Frame

@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from touchd.daemon.bridge_settings import LslSettings, MqttSettings, Ros2Settings, Section
+from touchd.daemon.app.config import Settings
 from touchd.daemon.bridges.bridge import Bridge, BridgeError, bridge_class
-from touchd.daemon.config import Settings
+from touchd.daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings, Section
 from touchd.drivers.frame import NO_TOUCH
 from touchd.drivers.installed import EXTRAS, how_to_install
 from touchd.model.classifier import Classifier

@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 import pylsl
 from msgspec import UNSET
 
-from touchd.daemon.bridge_settings import LslSettings
 from touchd.daemon.bridges.bridge import Bridge, Item, kind_of
-from touchd.daemon.events import Event, Prediction, epoch_s
+from touchd.daemon.bridges.settings import LslSettings
+from touchd.daemon.path.events import Event, Prediction, epoch_s
 from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
 
 LOOKS = 10

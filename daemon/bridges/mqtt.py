@@ -16,7 +16,6 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
-from touchd.daemon.bridge_settings import MqttSettings
 from touchd.daemon.bridges.bridge import (
     MOST_FRAMES,
     POLL_S,
@@ -28,7 +27,8 @@ from touchd.daemon.bridges.bridge import (
     kind_of,
 )
 from touchd.daemon.bridges.retained import entity_of, topics_of
-from touchd.daemon.events import UNCERTAIN, Event, SensorEvent, encode, timestamp
+from touchd.daemon.bridges.settings import MqttSettings
+from touchd.daemon.path.events import UNCERTAIN, Event, SensorEvent, encode, timestamp
 from touchd.drivers.errors import written_out
 from touchd.drivers.frame import Frame
 from touchd.drivers.whole_file import without_waiting

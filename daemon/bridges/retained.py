@@ -15,7 +15,7 @@ from pathlib import Path
 
 import msgspec
 
-from touchd.daemon.bridge_settings import MEMORY_FILES, MqttSettings
+from touchd.daemon.bridges.settings import MEMORY_FILES, MqttSettings
 from touchd.drivers.whole_file import PRIVATE_MODE, whole_file, without_waiting
 
 log = logging.getLogger(__name__)

@@ -19,10 +19,10 @@ from cyclonedds.qos import Policy, Qos
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
-from touchd.daemon.addresses import own_addresses
-from touchd.daemon.bridge_settings import Ros2Settings
 from touchd.daemon.bridges.bridge import Bridge, Item, arrival_s
-from touchd.daemon.events import Prediction, encode
+from touchd.daemon.bridges.settings import Ros2Settings
+from touchd.daemon.live.own_addresses import own_addresses
+from touchd.daemon.path.events import Prediction, encode
 from touchd.drivers.faults import Backoff
 from touchd.drivers.frame import COLUMNS, ROWS, Frame
 

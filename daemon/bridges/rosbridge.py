@@ -12,9 +12,9 @@ from websockets.client import ClientProtocol
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
-from touchd.daemon.bridge_settings import RosbridgeSettings
 from touchd.daemon.bridges.bridge import Allowance, ConnectedBridge
-from touchd.daemon.events import Event, Prediction, encode
+from touchd.daemon.bridges.settings import RosbridgeSettings
+from touchd.daemon.path.events import Event, Prediction, encode
 from touchd.drivers.frame import COLUMNS, ROWS, Frame
 
 CONNECTION: Mapping[str, Any] = {

@@ -17,14 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
+from touchd.daemon.app.config import LiveSettings, SensorSettings, Settings
 from touchd.daemon.commands.one_pad import load_model
 from touchd.daemon.commands.run import favour_latency
-from touchd.daemon.config import LiveSettings, SensorSettings, Settings
-from touchd.daemon.events import Event, Prediction, epoch_s
-from touchd.daemon.kept.touches import decode
-from touchd.daemon.pipeline import Pipeline
+from touchd.daemon.path.events import Event, Prediction, epoch_s
+from touchd.daemon.path.pipeline import Pipeline
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
 from touchd.daemon.playback.stream import DEMO_RECORDING, play
+from touchd.daemon.sinks.touches import decode
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import FRAME_RATE_HZ
 from touchd.drivers.numbers import within

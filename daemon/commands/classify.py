@@ -6,11 +6,11 @@ from collections import Counter
 from collections.abc import Sequence
 
 from touchd.daemon.commands.one_pad import add_settings, load_model, settings_of
-from touchd.daemon.events import Event, TouchBegan, TouchEnded, encode
-from touchd.daemon.pipeline import Pipeline
+from touchd.daemon.path.events import Event, TouchBegan, TouchEnded, encode
+from touchd.daemon.path.pipeline import Pipeline
 from touchd.daemon.playback.stream import add_arguments, chosen_stream, play
-from touchd.daemon.terminal.describe import describe
-from touchd.daemon.words import Vocabulary, name_of, words_of
+from touchd.daemon.robot.words import Vocabulary, name_of, words_of
+from touchd.daemon.view.describe import describe
 from touchd.drivers.frame import NO_TOUCH
 from touchd.drivers.recording import Stream
 

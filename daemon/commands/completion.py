@@ -22,7 +22,7 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str]) -> int:
     """Write the script; returns 0."""
-    from touchd.daemon.cli import COMMANDS, module_of
+    from touchd.daemon.app.cli import COMMANDS, module_of
 
     shell = parser().parse_args(arguments).shell
     whole = argparse.ArgumentParser(prog=PROGRAM)

@@ -11,9 +11,9 @@ from typing import Any
 import msgspec
 from rich.console import Console
 
-from touchd.daemon.events import Event
-from touchd.daemon.journal import JournalError
-from touchd.daemon.kept.touches import read_events
+from touchd.daemon.path.events import Event
+from touchd.daemon.sinks.journal import JournalError
+from touchd.daemon.sinks.touches import read_events
 from touchd.drivers.errors import TouchdError, os_errors_as
 from touchd.drivers.recording import SUFFIXES, read_provenance, read_recordings, realign, write_recordings
 from touchd.drivers.whole_file import PRIVATE_MODE, whole_file
@@ -45,7 +45,7 @@ def main(arguments: Sequence[str]) -> int:
         raise ConvertError(f"{out}: exists; give another --out, or move the file away")
     if out.suffix == ".mcap":
         # Fail before the work if mcap is not installed.
-        import touchd.daemon.convert.mcap  # noqa: F401
+        import touchd.daemon.record.mcap  # noqa: F401
     with (
         Console(stderr=True).status(f"reading {file}"),
         os_errors_as(ConvertError, f"{out}: cannot be written", "give another --out"),
@@ -65,7 +65,7 @@ def _convert_recording(file: Path, out: Path) -> None:
         # touchd's own layout holds whole scans.
         write_recordings(out, list(map(realign, recordings)), read_provenance(file))
         return
-    from touchd.daemon.convert import mcap
+    from touchd.daemon.record import mcap
 
     with (
         whole_file(out, replace=False, mode=PRIVATE_MODE) as partial,
@@ -90,7 +90,7 @@ def _convert_journal(file: Path, out: Path) -> None:
             # Build the rows again rather than keep them: for a journal of years they would take gigabytes.
             table.writerows(map(_flat, events))
         return
-    from touchd.daemon.convert import mcap
+    from touchd.daemon.record import mcap
 
     with out.open("xb") as messages:
         mcap.write_events(events, messages)

@@ -16,16 +16,16 @@ import msgspec
 from numpy.random import RandomState
 from rich.console import Console
 
-from touchd.daemon.actions import Action, ActionRule, Leds
-from touchd.daemon.config import LiveSettings, SceneSettings, Settings
-from touchd.daemon.events import Event, Prediction, TouchEnded
+from touchd.daemon.app.config import LiveSettings, SceneSettings, Settings
 from touchd.daemon.live.address import EVERY_ADDRESS, listen, parse_address, qr_code, urls_of
+from touchd.daemon.path.events import Event, Prediction, TouchEnded
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
 from touchd.daemon.playback.stream import DEMO_RECORDING
-from touchd.daemon.robot import link_to_robot
-from touchd.daemon.terminal.describe import describe
-from touchd.daemon.terminal.view import View
-from touchd.daemon.words import name_of, words_of
+from touchd.daemon.robot.actions import Action, ActionRule, Leds
+from touchd.daemon.robot.sink import link_to_robot
+from touchd.daemon.robot.words import name_of, words_of
+from touchd.daemon.view.describe import describe
+from touchd.daemon.view.view import View
 from touchd.drivers.fakes.fake_port import FakePort, LivePort
 from touchd.drivers.fakes.hand import DEMO_SEED, SimulatedHand, demo_gestures
 from touchd.drivers.fakes.loopback_robot import LoopbackRobot

@@ -13,7 +13,16 @@ from msgspec.structs import replace
 from rich.console import Console
 from serial.tools.list_ports import comports
 
-from touchd.daemon.config import DEFAULT_PORT, FABRIC, OVERRIDES, ConfigError, SensorSettings, Settings, load
+from touchd.daemon.app.config import (
+    DEFAULT_PORT,
+    FABRIC,
+    OVERRIDES,
+    ConfigError,
+    SensorSettings,
+    Settings,
+    load,
+)
+from touchd.daemon.app.parts import check_pad
 from touchd.daemon.doctor.hand import (
     LISTEN_S,
     add_grid,
@@ -25,7 +34,6 @@ from touchd.daemon.doctor.hand import (
 from touchd.daemon.doctor.line import group_of_the_next_login
 from touchd.daemon.doctor.listening import listen as listen_to_frames
 from touchd.daemon.doctor.machine import check_robot, find_robot, robot_urls
-from touchd.daemon.parts import check_pad
 from touchd.drivers.errors import os_errors_as
 from touchd.drivers.installed import program_name
 from touchd.drivers.numbers import within

@@ -6,8 +6,8 @@ import typing
 
 import msgspec
 
+from touchd.daemon.app.config import ConfigError, SensorSettings, Settings
 from touchd.daemon.commands.settings import Found, add_config, find_settings
-from touchd.daemon.config import ConfigError, SensorSettings, Settings
 
 if typing.TYPE_CHECKING:
     from touchd.model.classifier import Classifier
@@ -34,7 +34,7 @@ def settings_of(options: argparse.Namespace) -> Found:
 def load_model(settings: Settings) -> "Classifier":
     """Load the only pad's model; see `load_models`."""
     # Other commands need no network, which takes long to import.
-    from touchd.daemon.parts import load_models
+    from touchd.daemon.app.parts import load_models
 
     (model,) = load_models(settings).values()
     return model

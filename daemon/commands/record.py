@@ -7,13 +7,13 @@ from pathlib import Path
 from rich.console import Console
 
 from touchd.daemon.commands.one_pad import add_settings, settings_of
-from touchd.daemon.recorder.capture import PadReader
-from touchd.daemon.recorder.dialogue import HOW, Dialogue, Terms
-from touchd.daemon.recorder.label import label, label_of
-from touchd.daemon.recorder.session import Session
-from touchd.daemon.recorder.who import ask_setting, name
-from touchd.daemon.terminal.ask import Stopped
-from touchd.daemon.terminal.width import text_width
+from touchd.daemon.record.capture import PadReader
+from touchd.daemon.record.dialogue import HOW, Dialogue, Terms
+from touchd.daemon.record.label import label, label_of
+from touchd.daemon.record.session import Session
+from touchd.daemon.record.who import ask_setting, name
+from touchd.daemon.view.ask import Stopped
+from touchd.daemon.view.width import text_width
 from touchd.drivers.numbers import within
 from touchd.drivers.recording import prepare
 from touchd.model.adapt.folder import trouble_with

@@ -12,20 +12,20 @@ from contextlib import ExitStack
 
 import msgspec
 
+from touchd.daemon.app.config import ConfigError, Settings, config_errors
+from touchd.daemon.app.log import LogWriter
 from touchd.daemon.commands.settings import Found, add_config, find_settings, parsed
-from touchd.daemon.config import ConfigError, Settings, config_errors
-from touchd.daemon.events import Event, RobotEvent, encode
-from touchd.daemon.log import LogWriter
-from touchd.daemon.service import Service
-from touchd.daemon.sinks import LinesSink
-from touchd.daemon.tags import TagServer, changed
+from touchd.daemon.path.events import Event, RobotEvent, encode
+from touchd.daemon.path.service import Service
+from touchd.daemon.sinks.sink import LinesSink
+from touchd.daemon.sinks.tags import TagServer, changed
 
 # Python's thread switch interval; its default, 5 ms, is longer than an answer takes.
 SWITCH_S = 0.0005
 LOG_STOP_S = 0.4
 
 if typing.TYPE_CHECKING:
-    from touchd.daemon.terminal.view import View
+    from touchd.daemon.view.view import View
 
 log = logging.getLogger(__name__)
 
@@ -120,9 +120,9 @@ def main(arguments: Sequence[str]) -> int:
         closing.enter_context(TagServer(service.events))
         page, code = _live_page(settings) if settings.live else ("", "")
         if options.view:
-            from touchd.daemon.terminal.keys import listening
-            from touchd.daemon.terminal.view import View, ViewLog
-            from touchd.daemon.words import words_of
+            from touchd.daemon.robot.words import words_of
+            from touchd.daemon.view.keys import listening
+            from touchd.daemon.view.view import View, ViewLog
 
             (name, first), *_ = settings.pads.items()
             title = f"{first.sensor.port} · {page}" if page else first.sensor.port
@@ -151,7 +151,7 @@ def main(arguments: Sequence[str]) -> int:
 
 def show_on(view: "View", service: Service, settings: Settings) -> None:
     """Show everything on a view, and take labels from it."""
-    from touchd.daemon.labels import make_labeller
+    from touchd.daemon.sinks.labels import make_labeller
 
     service.tell(view)
     service.watchers.append(view)
@@ -163,7 +163,7 @@ def _reporting(service: Service, must_stop: Callable[[], bool], closing: ExitSta
     """Return `must_stop`, which reports to systemd each time it is asked, if that started this process."""
     if "NOTIFY_SOCKET" not in os.environ:
         return must_stop
-    from touchd.daemon.systemd import Health, Notifier
+    from touchd.daemon.app.systemd import Health, Notifier
 
     notifier = Notifier(os.environ)
     closing.callback(notifier.close)
@@ -200,8 +200,8 @@ def _live_page(settings: Settings) -> tuple[str, str]:
 
 def _in_words(settings: Settings) -> Callable[[Event], bytes]:
     """Return a function that describes an event in a line, with the pad's name if there are several pads."""
-    from touchd.daemon.terminal.describe import describe
-    from touchd.daemon.words import words_of
+    from touchd.daemon.robot.words import words_of
+    from touchd.daemon.view.describe import describe
 
     words = words_of(settings)
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from touchd.daemon.config import Settings, load
+from touchd.daemon.app.config import Settings, load
 from touchd.drivers.errors import written_out
 
 NAME = "touchd.yaml"

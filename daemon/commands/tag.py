@@ -10,7 +10,7 @@ from pathlib import Path
 
 import msgspec
 
-from touchd.daemon.tags import (
+from touchd.daemon.sinks.tags import (
     ADDRESS,
     ANSWER_WITHIN_S,
     MOST_BYTES,

@@ -11,18 +11,18 @@ from pathlib import Path
 import yaml
 from rich.console import Console
 
+from touchd.daemon.app.config import ConfigError, Settings, load
+from touchd.daemon.app.parts import load_models
 from touchd.daemon.commands.one_pad import add_settings, only_pad, settings_of
 from touchd.daemon.commands.record import INCOMPLETE, LONGEST_S, SHORTEST_S
 from touchd.daemon.commands.settings import SERVICE_FOLDER
-from touchd.daemon.config import ConfigError, Settings, load
-from touchd.daemon.parts import load_models
-from touchd.daemon.recorder.capture import PadReader
-from touchd.daemon.recorder.dialogue import HOW, HOW_ONCE, Dialogue, Terms
-from touchd.daemon.recorder.session import Session
-from touchd.daemon.recorder.who import Setting, ask_name, name
-from touchd.daemon.terminal.ask import Stopped, ask
-from touchd.daemon.terminal.width import text_width
-from touchd.daemon.words import name_of, words_of
+from touchd.daemon.record.capture import PadReader
+from touchd.daemon.record.dialogue import HOW, HOW_ONCE, Dialogue, Terms
+from touchd.daemon.record.session import Session
+from touchd.daemon.record.who import Setting, ask_name, name
+from touchd.daemon.robot.words import name_of, words_of
+from touchd.daemon.view.ask import Stopped, ask
+from touchd.daemon.view.width import text_width
 from touchd.drivers.errors import TouchdError, os_errors_as
 from touchd.drivers.installed import program_name
 from touchd.drivers.numbers import within

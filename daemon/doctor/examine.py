@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from rich.console import Console
 
-from touchd.daemon.config import Settings
+from touchd.daemon.app.config import Settings
 from touchd.daemon.doctor.check import Check
 from touchd.daemon.doctor.hand import find_with_a_hand, find_without_asking
 from touchd.daemon.doctor.line import check_damage, check_format, check_opening, check_protocol, check_rate

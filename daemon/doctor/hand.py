@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.live import Live
 
-from touchd.daemon.terminal.pad_picture import as_text, level_of, pad_picture
-from touchd.daemon.terminal.palette import palette_for
+from touchd.daemon.view.pad_picture import as_text, level_of, pad_picture
+from touchd.daemon.view.palette import palette_for
 from touchd.drivers.frame import COLUMNS, ROWS
 from touchd.drivers.pad.format import LONGEST_SIDE, SHORTEST_SIDE, PadFormat
 from touchd.drivers.pad.port import Line, forget_waiting, read_waiting

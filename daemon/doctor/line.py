@@ -9,11 +9,11 @@ from contextlib import suppress
 import numpy as np
 from serial.tools.list_ports import comports
 
-from touchd.daemon.config import SensorSettings
+from touchd.daemon.app.config import SensorSettings
 from touchd.daemon.doctor.check import Check
 from touchd.daemon.doctor.listening import START_S, Sample, listen
 from touchd.daemon.doctor.machine import service_runs
-from touchd.daemon.monitor import MANY_SHARE
+from touchd.daemon.path.monitor import MANY_SHARE
 from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, MIN_RATE_HZ, ROWS
 from touchd.drivers.pad.arrived import is_text, looks_like
 from touchd.drivers.pad.format import PadFormat

@@ -12,9 +12,9 @@ from contextlib import suppress
 
 import numpy as np
 
-from touchd.daemon.config import ConfigError, Settings
+from touchd.daemon.app.config import ConfigError, Settings
+from touchd.daemon.app.parts import load_models
 from touchd.daemon.doctor.check import Check
-from touchd.daemon.parts import load_models
 from touchd.drivers.errors import PathError
 from touchd.drivers.frame import COLUMNS, ROWS
 from touchd.drivers.installed import program_name

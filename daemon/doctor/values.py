@@ -3,12 +3,12 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.daemon.config import Settings
+from touchd.daemon.app.config import Settings
 from touchd.daemon.doctor.check import Check
 from touchd.daemon.doctor.listening import Sample
-from touchd.daemon.monitor import TaxelFaults
-from touchd.daemon.tracker.baseline import MAX_DEVIATION_COUNTS
-from touchd.daemon.tracker.tracker import Onset, TouchTracker
+from touchd.daemon.path.monitor import TaxelFaults
+from touchd.daemon.path.tracker.baseline import MAX_DEVIATION_COUNTS
+from touchd.daemon.path.tracker.tracker import Onset, TouchTracker
 from touchd.drivers.frame import COLUMNS, MAX_COUNT, ROWS, Frame
 from touchd.drivers.pad.grid import Ring
 from touchd.drivers.pad.pace import steps_ms

@@ -10,8 +10,8 @@ import socket
 
 import msgspec
 
-from touchd.daemon.addresses import own_addresses
-from touchd.daemon.config import ConfigError, LiveSettings
+from touchd.daemon.app.config import ConfigError, LiveSettings
+from touchd.daemon.live.own_addresses import own_addresses
 from touchd.drivers.errors import TouchdError
 
 log = logging.getLogger(__name__)

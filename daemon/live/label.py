@@ -7,8 +7,8 @@ from typing import Annotated
 import msgspec
 from websockets.asyncio.server import ServerConnection, broadcast
 
-from touchd.daemon.events import Count
-from touchd.daemon.labels import LabelError, Labeller
+from touchd.daemon.path.events import Count
+from touchd.daemon.sinks.labels import LabelError, Labeller
 
 # A web server in front of the page hides where a viewer is; it adds one of these.
 FORWARDED = ("Forwarded", "X-Forwarded-For", "X-Real-IP", "Via")

@@ -7,8 +7,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.daemon.config import Settings
-from touchd.daemon.events import (
+from touchd.daemon.app.config import Settings
+from touchd.daemon.path.events import (
     UNCERTAIN,
     Event,
     Label,
@@ -19,8 +19,8 @@ from touchd.daemon.events import (
     TouchBegan,
     TouchEnded,
 )
-from touchd.daemon.kept.touches import ReportedTouch
-from touchd.daemon.words import SHIPPED, Vocabulary, name_of, words_of
+from touchd.daemon.robot.words import SHIPPED, Vocabulary, name_of, words_of
+from touchd.daemon.sinks.touches import ReportedTouch
 from touchd.drivers.frame import CLOCK_MODULUS, FRAME_RATE_HZ, NO_TOUCH, Frame
 
 TOUCHES = 12

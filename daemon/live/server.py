@@ -19,19 +19,19 @@ from websockets.asyncio.server import ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode
 
-from touchd.daemon.config import LiveSettings, Settings
-from touchd.daemon.events import Event, LivePrediction, RobotEvent
+from touchd.daemon.app.config import LiveSettings, Settings
 from touchd.daemon.live.address import listen, own_names, urls_of
 from touchd.daemon.live.door import Door
 from touchd.daemon.live.memory import Memory, Scene
 from touchd.daemon.live.page import Page
 from touchd.daemon.live.viewers import Viewers
+from touchd.daemon.path.events import Event, LivePrediction, RobotEvent
 from touchd.drivers.frame import DEFAULT_PAD, Frame
 from touchd.drivers.queue import DroppingQueue
 from touchd.model.classifier import Classifier
 
 if TYPE_CHECKING:
-    from touchd.daemon.labels import Labeller
+    from touchd.daemon.sinks.labels import Labeller
 
 log = logging.getLogger(__name__)
 

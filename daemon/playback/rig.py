@@ -11,9 +11,9 @@ from typing import IO
 import msgspec
 import yaml
 
-from touchd.daemon.config import SensorSettings, Settings
-from touchd.daemon.events import Event
-from touchd.daemon.kept.touches import decode
+from touchd.daemon.app.config import SensorSettings, Settings
+from touchd.daemon.path.events import Event
+from touchd.daemon.sinks.touches import decode
 from touchd.drivers.fakes.encode import encode_frame
 from touchd.drivers.frame import Counts
 

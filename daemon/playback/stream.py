@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from touchd.daemon.pipeline import Pipeline
+from touchd.daemon.path.pipeline import Pipeline
 from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH, Frame
 from touchd.drivers.recording import (
     EVERYTHING,

@@ -15,11 +15,11 @@ from numpy.random import RandomState
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
-from touchd.daemon.config import LiveSettings
-from touchd.daemon.events import Event, LivePrediction
+from touchd.daemon.app.config import LiveSettings
 from touchd.daemon.live.memory import Scene
 from touchd.daemon.live.server import LiveServer
 from touchd.daemon.live.touch import Touching
+from touchd.daemon.path.events import Event, LivePrediction
 from touchd.drivers.fakes.fabric import Fabric
 from touchd.drivers.fakes.hand import SimulatedHand
 from touchd.drivers.fakes.pointers import PressingHands

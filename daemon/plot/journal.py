@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from touchd.daemon.kept.touches import ReportedTouch
 from touchd.daemon.plot.plot import (
     INK,
     LANES,
@@ -19,6 +18,7 @@ from touchd.daemon.plot.plot import (
     lane_of,
     new_figure,
 )
+from touchd.daemon.sinks.touches import ReportedTouch
 from touchd.drivers.frame import FRAME_RATE_HZ
 
 TOUCH_INCHES, TITLE_INCHES = 0.3, 1.3

@@ -7,7 +7,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from touchd.daemon.events import UNCERTAIN, Prediction
+from touchd.daemon.path.events import UNCERTAIN, Prediction
 from touchd.drivers.errors import TouchdError, os_errors_as
 from touchd.drivers.frame import NO_TOUCH
 

@@ -11,10 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from numpy.typing import NDArray
 
-from touchd.daemon.config import Settings
-from touchd.daemon.events import UNCERTAIN, Event, TouchBegan
-from touchd.daemon.kept.touches import ReportedTouch, gather
-from touchd.daemon.pipeline import Pipeline
+from touchd.daemon.app.config import Settings
+from touchd.daemon.path.events import UNCERTAIN, Event, TouchBegan
+from touchd.daemon.path.pipeline import Pipeline
 from touchd.daemon.playback.stream import play
 from touchd.daemon.plot.plot import (
     LANES,
@@ -29,6 +28,7 @@ from touchd.daemon.plot.plot import (
     lane_of,
     new_figure,
 )
+from touchd.daemon.sinks.touches import ReportedTouch, gather
 from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH
 from touchd.drivers.recording import UNLABELLED, Span, Stream
 from touchd.model.classifier import Classifier

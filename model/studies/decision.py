@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
-from touchd.daemon.decide import EARLIEST_FRAMES, SURE, Decision, DecisionSettings, sure_above
-from touchd.daemon.events import Stage
-from touchd.daemon.pipeline import STAGES, PipelineSettings
+from touchd.daemon.path.decide import EARLIEST_FRAMES, SURE, Decision, DecisionSettings, sure_above
+from touchd.daemon.path.events import Stage
+from touchd.daemon.path.pipeline import STAGES, PipelineSettings
 from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT
 from touchd.model.classifier import SHIPPED_MODEL, Classifier, ModelState
 from touchd.model.studies.checks.evaluate import Split

@@ -2,8 +2,8 @@
 
 from collections.abc import Iterable, Iterator
 
-from touchd.daemon.events import Event
-from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
+from touchd.daemon.path.events import Event
+from touchd.daemon.path.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.drivers.frame import Counts, Frame
 from touchd.drivers.recording import ideal_clock_ms
 from touchd.model.classifier import Classifier

@@ -20,10 +20,10 @@ from selenium.webdriver import Chrome
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
+from touchd.daemon.app.config import LiveSettings, Settings
 from touchd.daemon.commands.bench import measure
 from touchd.daemon.commands.one_pad import load_model
 from touchd.daemon.commands.run import SWITCH_S
-from touchd.daemon.config import LiveSettings, Settings
 from touchd.daemon.live.server import open_live_page
 from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.frame import FRAME_RATE_HZ, Frame

@@ -22,10 +22,15 @@ from rich.console import Console
 from rigs.browser import browser, picture, prefer, show_in
 from rigs.live_rig import serving
 
+from touchd.daemon.app.config import LiveSettings, Settings
 from touchd.daemon.commands.demo import ACTIONS
 from touchd.daemon.commands.one_pad import load_model
-from touchd.daemon.config import LiveSettings, Settings
-from touchd.daemon.events import (
+from touchd.daemon.live import server, touch
+from touchd.daemon.live.address import listen
+from touchd.daemon.live.memory import Scene
+from touchd.daemon.live.server import LiveServer
+from touchd.daemon.live.touch import Touching
+from touchd.daemon.path.events import (
     Event,
     LivePrediction,
     Prediction,
@@ -35,16 +40,11 @@ from touchd.daemon.events import (
     TouchBegan,
     timestamp,
 )
-from touchd.daemon.live import server, touch
-from touchd.daemon.live.address import listen
-from touchd.daemon.live.memory import Scene
-from touchd.daemon.live.server import LiveServer
-from touchd.daemon.live.touch import Touching
-from touchd.daemon.pipeline import Clock, Pipeline
+from touchd.daemon.path.pipeline import Clock, Pipeline
 from touchd.daemon.playback.stream import DEMO_RECORDING
-from touchd.daemon.reactions import Choice, spoken
-from touchd.daemon.terminal.view import View
-from touchd.daemon.words import words_of
+from touchd.daemon.robot.reactions import Choice, spoken
+from touchd.daemon.robot.words import words_of
+from touchd.daemon.view.view import View
 from touchd.drivers.fakes.fabric import Fabric
 from touchd.drivers.fakes.pointers import PressingHands
 from touchd.drivers.frame import DEFAULT_PAD, FRAME_RATE_HZ, Frame

@@ -12,8 +12,8 @@ import pytest
 from by_hand.debian_container import WHY_NOT, Container, booted
 from rigs.expectations import LENGTHS
 
-from touchd.daemon.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, epoch_s
-from touchd.daemon.kept.touches import decode
+from touchd.daemon.path.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded, epoch_s
+from touchd.daemon.sinks.touches import decode
 
 INSTALL = "cd /root/touchd && PIP_NO_INDEX=1 PIP_FIND_LINKS=/mnt/wheels make install"
 CONFIGURATION = """

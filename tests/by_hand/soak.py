@@ -31,13 +31,16 @@ from rigs.peers import MOSQUITTO, broker, subscribed
 from rigs.soak_line import pad
 from rigs.sockets import free_port
 
-from touchd.daemon.bridge_settings import MqttSettings
+from touchd.daemon.app.config import LiveSettings, Settings
 from touchd.daemon.bridges.bridges import make_bridges
+from touchd.daemon.bridges.settings import MqttSettings
 from touchd.daemon.commands.one_pad import load_model
-from touchd.daemon.config import LiveSettings, Settings
-from touchd.daemon.events import Event, TouchEnded, encode
-from touchd.daemon.journal import Journal, JournalSink
-from touchd.daemon.kept.touch_store import (
+from touchd.daemon.live.server import open_live_page
+from touchd.daemon.path.events import Event, TouchEnded, encode
+from touchd.daemon.path.pipeline import Pipeline
+from touchd.daemon.robot.sink import RobotSink
+from touchd.daemon.sinks.journal import Journal, JournalSink
+from touchd.daemon.sinks.touch_store import (
     EndedTouch,
     TouchSink,
     TouchStore,
@@ -46,9 +49,6 @@ from touchd.daemon.kept.touch_store import (
     kept_touches,
     read_frames,
 )
-from touchd.daemon.live.server import open_live_page
-from touchd.daemon.pipeline import Pipeline
-from touchd.daemon.robot import RobotSink
 from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.frame import FRAME_RATE_HZ, SensorState
 from touchd.drivers.pad.protocol import parser_of

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from touchd.daemon.tracker.baseline import SECOND_FRAMES, Baseline, LastSecond
+from touchd.daemon.path.tracker.baseline import SECOND_FRAMES, Baseline, LastSecond
 
 
 def white(deviation: float, frames: int, rest: float = 10.0) -> NDArray[np.float32]:

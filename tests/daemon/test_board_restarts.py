@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from rigs.made_pad import MadePad, Scans, nothing, palm
 
-from touchd.daemon.events import Event, Prediction, SensorEvent, TouchEnded
-from touchd.daemon.monitor import PadMonitor
-from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
+from touchd.daemon.path.events import Event, Prediction, SensorEvent, TouchEnded
+from touchd.daemon.path.monitor import PadMonitor
+from touchd.daemon.path.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.drivers.fakes.encode import encode_frame
 from touchd.drivers.frame import Counts
 from touchd.drivers.pad.format import PRESETS, PadFormat

@@ -15,12 +15,12 @@ from rigs.peers import PAD, LslPeer, Ros2Peer, RosbridgePeer, frame, inlet_of, r
 from rigs.scripted_model import Scripted
 from rigs.wait import WITHIN_S, wait_for
 
-from touchd.daemon.bridge_settings import LslSettings, Ros2Settings
+from touchd.daemon.app.config import Settings
 from touchd.daemon.bridges.apart import ApartBridge
 from touchd.daemon.bridges.bridge import BridgeError
 from touchd.daemon.bridges.bridges import make_bridges
-from touchd.daemon.config import Settings
-from touchd.daemon.events import (
+from touchd.daemon.bridges.settings import LslSettings, Ros2Settings
+from touchd.daemon.path.events import (
     Label,
     RobotAction,
     RobotEvent,
@@ -29,7 +29,7 @@ from touchd.daemon.events import (
     TouchEnded,
     timestamp,
 )
-from touchd.daemon.kept.touches import decode
+from touchd.daemon.sinks.touches import decode
 
 
 def test_a_library_that_cannot_be_loaded_is_named(

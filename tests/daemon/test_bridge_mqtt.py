@@ -22,14 +22,14 @@ from rigs.scripted_model import Scripted
 from rigs.sockets import free_port
 from rigs.wait import WITHIN_S, wait_for
 
-from touchd.daemon.bridge_settings import MqttSettings
+from touchd.daemon.app.config import PadSettings, SceneSettings, Settings
+from touchd.daemon.app.parts import make_parts
 from touchd.daemon.bridges.bridge import Bridge, BridgeError
 from touchd.daemon.bridges.bridges import make_bridges
 from touchd.daemon.bridges.retained import OnBroker, Retained, file_for
-from touchd.daemon.config import PadSettings, SceneSettings, Settings
-from touchd.daemon.events import SensorEvent, encode
-from touchd.daemon.kept.touches import decode
-from touchd.daemon.parts import make_parts
+from touchd.daemon.bridges.settings import MqttSettings
+from touchd.daemon.path.events import SensorEvent, encode
+from touchd.daemon.sinks.touches import decode
 from touchd.drivers.frame import NO_TOUCH
 from touchd.drivers.queue import Signal
 

@@ -20,15 +20,15 @@ from rigs.programs import TOUCHD, Program, ran
 from rigs.robots import needs_qi
 from rigs.wait import WITHIN_S
 
-from touchd.daemon import cli
+from touchd.daemon.app import cli
+from touchd.daemon.app.config import ConfigError, SceneSettings
+from touchd.daemon.app.fit import check_scene
 from touchd.daemon.commands import demo
-from touchd.daemon.config import ConfigError, SceneSettings
-from touchd.daemon.events import RobotAction, TouchBegan, TouchEnded
-from touchd.daemon.fit import check_scene
-from touchd.daemon.kept.touches import decode
+from touchd.daemon.path.events import RobotAction, TouchBegan, TouchEnded
 from touchd.daemon.playback.stream import with_quiet
-from touchd.daemon.terminal.describe import describe
-from touchd.daemon.words import vocabulary
+from touchd.daemon.robot.words import vocabulary
+from touchd.daemon.sinks.touches import decode
+from touchd.daemon.view.describe import describe
 from touchd.drivers.fakes.hand import write_simulated
 from touchd.drivers.recording import Recording, read_recordings, write_recordings
 from touchd.model.classifier import Classifier
@@ -139,7 +139,7 @@ def test_a_pipe_or_device_is_refused_as_a_recording(
 
 
 def test_a_terminal_that_lacks_a_character_shows_another_one() -> None:
-    program = "from daemon import cli; cli.main(['--version']); print('\u201chi\u201d')"
+    program = "from touchd.daemon.app import cli; cli.main(['--version']); print('\u201chi\u201d')"
     shown = ran([sys.executable, "-c", program], env={**os.environ, "PYTHONIOENCODING": "ascii"})
     assert shown.stdout.splitlines()[-1] == "?hi?"
 

@@ -10,7 +10,7 @@ import pytest
 from msgspec import inspect
 from msgspec.structs import replace
 
-from touchd.daemon.config import (
+from touchd.daemon.app.config import (
     MAX_BYTES,
     ConfigError,
     SceneSettings,

@@ -15,9 +15,9 @@ from rigs.expectations import DEMO
 from rigs.made_events import PREDICTION
 from rigs.small_disk import log_on_small_disk, needs_small_disk
 
-from touchd.daemon.cli import main
-from touchd.daemon.events import TouchBegan, encode, epoch_s
-from touchd.daemon.kept.touches import decode
+from touchd.daemon.app.cli import main
+from touchd.daemon.path.events import TouchBegan, encode, epoch_s
+from touchd.daemon.sinks.touches import decode
 from touchd.drivers.recording import read_provenance, read_recordings, write_recordings
 
 EVENTS = [
@@ -167,7 +167,7 @@ def test_an_impossible_conversion_is_refused_in_one_line(
 
 FILL = """
 import os, sys
-from touchd.daemon.cli import main
+from touchd.daemon.app.cli import main
 from touchd.daemon.playback.stream import DEMO_RECORDING
 os.chdir(sys.argv[1])
 assert main(["convert", str(DEMO_RECORDING), "-o", "mine.csv"]) == 2

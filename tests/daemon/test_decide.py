@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from touchd.daemon.decide import ENDED_NOTOUCH, SURE, Decision, DecisionSettings, Sure
-from touchd.daemon.events import Stage
+from touchd.daemon.path.decide import ENDED_NOTOUCH, SURE, Decision, DecisionSettings, Sure
+from touchd.daemon.path.events import Stage
 
 LABELS = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
 SETTINGS = DecisionSettings(speak_above=0.6, revise_margin=0.15)

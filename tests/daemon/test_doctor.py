@@ -10,8 +10,8 @@ from rigs.doctor_rig import SETTINGS, pad_of, resting, systemd_says, the
 from rigs.formats import encode_csv_line
 from rigs.robots import Robot
 
-from touchd.daemon import cli
-from touchd.daemon.config import SensorSettings, Settings
+from touchd.daemon.app import cli
+from touchd.daemon.app.config import SensorSettings, Settings
 from touchd.daemon.doctor.examine import examine
 from touchd.daemon.doctor.machine import check_model, check_robot, check_service
 from touchd.drivers.robot.session import RobotSettings

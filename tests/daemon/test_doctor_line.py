@@ -19,7 +19,7 @@ from rigs.line_faults import Faults
 from rigs.sensor_rig import Encode, as_8x8, silence
 from rigs.wait import once_in_three
 
-from touchd.daemon.config import SensorSettings
+from touchd.daemon.app.config import SensorSettings
 from touchd.daemon.doctor import line
 from touchd.daemon.doctor.check import Check
 from touchd.daemon.doctor.line import check_damage, check_opening, check_protocol, check_rate

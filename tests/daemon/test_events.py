@@ -9,7 +9,7 @@ import msgspec
 import pytest
 from rigs.made_events import PREDICTION, TIME
 
-from touchd.daemon.events import (
+from touchd.daemon.path.events import (
     MAX_REASON_BYTES,
     EndReason,
     Event,
@@ -24,8 +24,8 @@ from touchd.daemon.events import (
     epoch_s,
     timestamp,
 )
-from touchd.daemon.feel import Feel
-from touchd.daemon.kept.touches import EventError, decode
+from touchd.daemon.path.feel import Feel
+from touchd.daemon.sinks.touches import EventError, decode
 from touchd.drivers.errors import one_line
 from touchd.model.classifier import ModelMetadata
 

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from rigs.made_events import PREDICTION
 from rigs.scripted_model import Scripted
 
-from touchd.daemon.actions import MEASURES, Action, ActionRule
-from touchd.daemon.events import Event, Prediction, TouchEnded
-from touchd.daemon.feel import Feel
-from touchd.daemon.pipeline import Pipeline, PipelineSettings
-from touchd.daemon.reactions import Choice
+from touchd.daemon.path.events import Event, Prediction, TouchEnded
+from touchd.daemon.path.feel import Feel
+from touchd.daemon.path.pipeline import Pipeline, PipelineSettings
+from touchd.daemon.robot.actions import MEASURES, Action, ActionRule
+from touchd.daemon.robot.reactions import Choice
 from touchd.drivers.frame import Frame
 
 RATE_HZ = 54

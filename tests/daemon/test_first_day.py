@@ -20,19 +20,27 @@ from rigs.robots import linked
 from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S, wait_for
 
-from touchd.daemon import cli, commands
-from touchd.daemon.actions import Action, ActionRule
+from touchd.daemon import commands
+from touchd.daemon.app import cli
+from touchd.daemon.app.config import (
+    ConfigError,
+    JournalSettings,
+    LiveSettings,
+    SensorSettings,
+    Settings,
+    load,
+)
+from touchd.daemon.app.parts import check_pad
 from touchd.daemon.commands.one_pad import load_model
 from touchd.daemon.commands.settings import find_settings
-from touchd.daemon.config import ConfigError, JournalSettings, LiveSettings, SensorSettings, Settings, load
 from touchd.daemon.doctor.line import check_rate
 from touchd.daemon.doctor.listening import Sample
-from touchd.daemon.events import Prediction, TouchEnded, encode
-from touchd.daemon.journal import JournalError, open_journal
 from touchd.daemon.live.address import qr_code, urls_of
-from touchd.daemon.parts import check_pad
-from touchd.daemon.reactions import Reactions
-from touchd.daemon.robot import RobotSink
+from touchd.daemon.path.events import Prediction, TouchEnded, encode
+from touchd.daemon.robot.actions import Action, ActionRule
+from touchd.daemon.robot.reactions import Reactions
+from touchd.daemon.robot.sink import RobotSink
+from touchd.daemon.sinks.journal import JournalError, open_journal
 from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.frame import DEFAULT_PAD, Frame
 from touchd.drivers.installed import TORCH_ON_CPU, how_to_install, program_name

@@ -21,12 +21,12 @@ from rigs.running_daemon import Daemon
 from rigs.sockets import LISTENS, free_port, sockets
 from rigs.wait import AT_ONCE_S, wait_for
 
-from touchd.daemon.bridge_settings import LslSettings, MqttSettings, Ros2Settings, RosbridgeSettings
+from touchd.daemon.app.config import LiveSettings, PadSettings, SensorSettings
+from touchd.daemon.app.log import MOST_LINES
 from touchd.daemon.bridges.apart import MOST_MB
 from touchd.daemon.bridges.bridge import Bridge
-from touchd.daemon.config import LiveSettings, PadSettings, SensorSettings
-from touchd.daemon.events import SensorEvent
-from touchd.daemon.log import MOST_LINES
+from touchd.daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings, RosbridgeSettings
+from touchd.daemon.path.events import SensorEvent
 from touchd.daemon.playback.rig import encoder_for
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.robot.session import RobotSettings

@@ -26,14 +26,14 @@ from rigs.sensor_rig import PolledPad
 from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S
 
+from touchd.daemon.app.config import ConfigError, SensorSettings, load
 from touchd.daemon.commands import init
 from touchd.daemon.commands.init import main
-from touchd.daemon.config import ConfigError, SensorSettings, load
 from touchd.daemon.doctor import hand, machine
 from touchd.daemon.doctor.hand import turned_with_a_hand
-from touchd.daemon.events import SensorEvent
-from touchd.daemon.kept.touches import decode
+from touchd.daemon.path.events import SensorEvent
 from touchd.daemon.playback.rig import encoder_for
+from touchd.daemon.sinks.touches import decode
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.pad.names import LastingName

@@ -14,15 +14,15 @@ from rigs.patient_port import playing
 from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S, wait_for
 
+from touchd.daemon.app.config import LiveSettings, Settings
 from touchd.daemon.commands.run import show_on
-from touchd.daemon.config import LiveSettings, Settings
-from touchd.daemon.events import Event, Label, encode
-from touchd.daemon.kept.touch_store import TouchStore, folder_of, kept_touches
-from touchd.daemon.kept.touches import decode
-from touchd.daemon.labels import LabelError, Labeller
-from touchd.daemon.service import Service
-from touchd.daemon.terminal.view import View
-from touchd.daemon.words import vocabulary
+from touchd.daemon.path.events import Event, Label, encode
+from touchd.daemon.path.service import Service
+from touchd.daemon.robot.words import vocabulary
+from touchd.daemon.sinks.labels import LabelError, Labeller
+from touchd.daemon.sinks.touch_store import TouchStore, folder_of, kept_touches
+from touchd.daemon.sinks.touches import decode
+from touchd.daemon.view.view import View
 
 GESTURES = ("notouch", "pat", "stroke")
 

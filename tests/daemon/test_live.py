@@ -23,12 +23,12 @@ from rigs.wait import SOON_S, WITHIN_S
 from websockets.asyncio import client, server
 from websockets.sync.client import ClientConnection, connect
 
+from touchd.daemon.app.config import LiveSettings, SensorSettings, Settings
 from touchd.daemon.commands.one_pad import load_model
-from touchd.daemon.config import LiveSettings, SensorSettings, Settings
-from touchd.daemon.events import SensorEvent, TouchBegan, TouchEnded, encode
 from touchd.daemon.live.memory import PREDICTIONS, TOUCHES, Memory, Scene
 from touchd.daemon.live.server import CAPACITY, LiveServer
 from touchd.daemon.live.viewers import Viewers
+from touchd.daemon.path.events import SensorEvent, TouchBegan, TouchEnded, encode
 from touchd.daemon.playback.rig import encoder_for
 from touchd.drivers.fakes.fake_port import FakePort
 

@@ -18,13 +18,13 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request
 from websockets.sync.client import connect
 
+from touchd.daemon.app.config import LiveSettings, Settings
 from touchd.daemon.commands.one_pad import load_model
-from touchd.daemon.config import LiveSettings, Settings
-from touchd.daemon.events import Event, Label, TouchBegan, TouchEnded
-from touchd.daemon.labels import ENOUGH, make_labeller
 from touchd.daemon.live import server
 from touchd.daemon.live.label import is_here
 from touchd.daemon.live.server import LiveServer, open_live_page
+from touchd.daemon.path.events import Event, Label, TouchBegan, TouchEnded
+from touchd.daemon.sinks.labels import ENOUGH, make_labeller
 
 SAID = '{"pad":"pad","touch":1,"gesture":"stroke"}'
 

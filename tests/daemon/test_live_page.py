@@ -23,10 +23,10 @@ from rigs.wait import WITHIN_S, wait_for
 from selenium.webdriver import ActionChains, Chrome, Keys
 from selenium.webdriver.common.by import By
 
-from touchd.daemon.config import LiveSettings, PadSettings, Words
-from touchd.daemon.events import Prediction, RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
+from touchd.daemon.app.config import LiveSettings, PadSettings, Words
 from touchd.daemon.live import server
-from touchd.daemon.words import name_of, vocabulary
+from touchd.daemon.path.events import Prediction, RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
+from touchd.daemon.robot.words import name_of, vocabulary
 from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.recording import Stream, ideal_clock_ms
 from touchd.drivers.robot.session import RobotSettings

@@ -24,7 +24,7 @@ from selenium.webdriver.common.by import By
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from touchd.daemon.config import LiveSettings, Settings
+from touchd.daemon.app.config import LiveSettings, Settings
 from touchd.daemon.live.address import listen
 from touchd.daemon.live.memory import Scene
 from touchd.daemon.live.touch import LIFTED_AFTER_S, MESSAGES_PER_S, Touching

@@ -7,9 +7,9 @@ import pytest
 from rigs.made_events import record
 from rigs.wait import WITHIN_S
 
-from touchd.daemon.cli import main
+from touchd.daemon.app.cli import main
+from touchd.daemon.app.log import MOST_LINES, LogGate, LogWriter
 from touchd.daemon.doctor.check import Check
-from touchd.daemon.log import MOST_LINES, LogGate, LogWriter
 from touchd.drivers.errors import MAX_LINE_BYTES, TouchdError, one_line
 
 HOSTILE = "one\nERROR root: forged\r\x1b]0;title\x07\x1b[2J\u202egnp.exe\x00\ud800\x9b31m"
@@ -86,7 +86,7 @@ def test_only_the_first_record_of_a_place_has_its_trace() -> None:
 
 def test_one_place_cannot_flood_the_log(monkeypatch: pytest.MonkeyPatch) -> None:
     now_s = 100.0
-    monkeypatch.setattr("touchd.daemon.log.time.monotonic", lambda: now_s)
+    monkeypatch.setattr("touchd.daemon.app.log.time.monotonic", lambda: now_s)
     gate = LogGate()
     records = [record("too many open files") for _ in range(43_000)]
     passed = [each.getMessage() for each in records if gate.filter(each)]

@@ -17,11 +17,11 @@ from rigs.patient_port import playing
 from rigs.running_daemon import Daemon, run_daemon
 from rigs.sensor_rig import stream_of
 
-from touchd.daemon.config import SensorSettings, Settings
-from touchd.daemon.events import SensorEvent
-from touchd.daemon.monitor import COMPARE_S, NOISY_CHECKS, PadMonitor, TaxelFaults
+from touchd.daemon.app.config import SensorSettings, Settings
+from touchd.daemon.path.events import SensorEvent
+from touchd.daemon.path.monitor import COMPARE_S, NOISY_CHECKS, PadMonitor, TaxelFaults
+from touchd.daemon.path.tracker.tracker import CHECK_FRAMES
 from touchd.daemon.playback.rig import encoder_for
-from touchd.daemon.tracker.tracker import CHECK_FRAMES
 from touchd.drivers.fakes.encode import encode_frame
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.faults import AGAIN_S
@@ -282,8 +282,8 @@ def test_the_daemon_logs_a_dead_row_and_its_return_once(tmp_path: Path) -> None:
     with playing(Stream(counts, ideal_clock_ms(len(counts)), ()), speed=100.0) as port:
         events, log = run_daemon(Settings(sensor=SensorSettings(port=port.path)), tmp_path, port)
     begin, end = (line for line in log.splitlines() if "stands still" in line)
-    assert begin == f"WARNING touchd.daemon.monitor: {DEAD_ROW}"
-    assert end.startswith(f"INFO touchd.daemon.monitor: no longer: {DEAD_ROW}")
+    assert begin == f"WARNING touchd.daemon.path.monitor: {DEAD_ROW}"
+    assert end.startswith(f"INFO touchd.daemon.path.monitor: no longer: {DEAD_ROW}")
     assert {type(event) for event in events} <= {SensorEvent}
 
 

@@ -5,8 +5,8 @@ import pytest
 from numpy.typing import NDArray
 from rigs.made_pad import MadePad, Scans, nothing, palm
 
-from touchd.daemon.tracker.baseline import SECOND_FRAMES
-from touchd.daemon.tracker.network_check import ASK_FRAMES, NetworkCheck
+from touchd.daemon.path.tracker.baseline import SECOND_FRAMES
+from touchd.daemon.path.tracker.network_check import ASK_FRAMES, NetworkCheck
 
 
 def times_asked(pressure: Scans, p_no_touch: float = 0.9) -> int:

@@ -18,11 +18,8 @@ from rigs.running_daemon import run_daemon
 from rigs.sockets import free_port
 from rigs.wait import WITHIN_S, wait_for
 
-from touchd.daemon import cli
-from touchd.daemon.actions import Action, ActionRule
-from touchd.daemon.bridge_settings import MqttSettings
-from touchd.daemon.commands.one_pad import only_pad
-from touchd.daemon.config import (
+from touchd.daemon.app import cli
+from touchd.daemon.app.config import (
     ConfigError,
     JournalSettings,
     PadSettings,
@@ -31,13 +28,16 @@ from touchd.daemon.config import (
     Settings,
     load,
 )
-from touchd.daemon.events import Event, Prediction, RobotAction, SensorEvent, TouchBegan, TouchEnded
-from touchd.daemon.kept.touch_store import folder_of, kept_touches
-from touchd.daemon.kept.touches import decode, read_journal
-from touchd.daemon.parts import make_parts
+from touchd.daemon.app.parts import make_parts
+from touchd.daemon.app.several_pads import MAX_PADS
+from touchd.daemon.bridges.settings import MqttSettings
+from touchd.daemon.commands.one_pad import only_pad
+from touchd.daemon.path.events import Event, Prediction, RobotAction, SensorEvent, TouchBegan, TouchEnded
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
-from touchd.daemon.robot import link_to_robot
-from touchd.daemon.several_pads import MAX_PADS
+from touchd.daemon.robot.actions import Action, ActionRule
+from touchd.daemon.robot.sink import link_to_robot
+from touchd.daemon.sinks.touch_store import folder_of, kept_touches
+from touchd.daemon.sinks.touches import decode, read_journal
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.pad.format import PRESETS

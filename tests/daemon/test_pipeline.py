@@ -14,12 +14,12 @@ from rigs.expectations import LENGTHS, answers
 from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 from rigs.scripted_model import LABELS, Scripted
 
-from touchd.daemon.decide import DecisionSettings
-from touchd.daemon.events import Event, LivePrediction, Prediction, SensorEvent, TouchBegan, TouchEnded
-from touchd.daemon.monitor import PadMonitor
-from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
+from touchd.daemon.path.decide import DecisionSettings
+from touchd.daemon.path.events import Event, LivePrediction, Prediction, SensorEvent, TouchBegan, TouchEnded
+from touchd.daemon.path.monitor import PadMonitor
+from touchd.daemon.path.pipeline import Clock, Pipeline, PipelineSettings
+from touchd.daemon.path.tracker.tracker import TouchSettings
 from touchd.daemon.playback.stream import play
-from touchd.daemon.tracker.tracker import TouchSettings
 from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.frame import DEFAULT_PAD, MAX_COUNT, NO_TOUCH, Counts, Frame, SensorState
 from touchd.drivers.recording import Stream, ideal_clock_ms, read_recordings, splice

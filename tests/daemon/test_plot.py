@@ -14,17 +14,17 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 from rigs.made_events import PREDICTION, TIME
 
-from touchd.daemon import cli
+from touchd.daemon.app import cli
+from touchd.daemon.app.config import Settings
 from touchd.daemon.commands.one_pad import load_model
 from touchd.daemon.commands.plot import picture_of
-from touchd.daemon.config import Settings
-from touchd.daemon.events import Event, Prediction, Stage, TouchBegan, TouchEnded, encode
-from touchd.daemon.kept.touches import gather, read_journal
+from touchd.daemon.path.events import Event, Prediction, Stage, TouchBegan, TouchEnded, encode
 from touchd.daemon.playback.stream import with_quiet
 from touchd.daemon.plot import journal as plot_journal
 from touchd.daemon.plot import recording as plot_recording
 from touchd.daemon.plot.plot import OTHER_COLOURS, PlotError, colour_of
 from touchd.daemon.plot.recording import Trace, trace
+from touchd.daemon.sinks.touches import gather, read_journal
 from touchd.drivers.fakes.hand import simulate, write_simulated
 from touchd.drivers.recording import UNLABELLED, Recording, Stream, splice
 from touchd.drivers.whole_file import PARTIAL

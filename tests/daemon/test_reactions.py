@@ -9,11 +9,11 @@ import pytest
 import yaml
 from rigs.made_events import PREDICTION
 
-from touchd.daemon import actions
-from touchd.daemon.actions import Action, ActionRule, Leds
-from touchd.daemon.config import Language, Words
-from touchd.daemon.reactions import MOST_TOUCHES, Choice, Reactions, spoken
-from touchd.daemon.words import vocabulary
+from touchd.daemon.app.config import Language, Words
+from touchd.daemon.robot import actions
+from touchd.daemon.robot.actions import Action, ActionRule, Leds
+from touchd.daemon.robot.reactions import MOST_TOUCHES, Choice, Reactions, spoken
+from touchd.daemon.robot.words import vocabulary
 from touchd.drivers.frame import DEFAULT_PAD
 from touchd.drivers.robot.acting import Act
 from touchd.model.classifier import Classifier
@@ -32,7 +32,7 @@ def done(chosen: Choice, gesture: str, touch: int = 1, now_s: float = 0.0, **oth
 
 
 def test_the_rules_in_the_example_are_valid() -> None:
-    example = (Path(actions.__file__).parent / "touchd.example.yaml").read_text()
+    example = (Path(actions.__file__).parents[1] / "touchd.example.yaml").read_text()
     rules = re.sub(
         r"^( *)#(?! )", r"\1", example[example.index("  #actions:") :].partition("\n\n")[0], flags=re.M
     )

@@ -12,14 +12,14 @@ import pytest
 from rich.console import Console
 from rigs.small_disk import log_on_small_disk, needs_small_disk
 
-from touchd.daemon import cli
-from touchd.daemon.config import Settings
-from touchd.daemon.recorder import dialogue
-from touchd.daemon.recorder.capture import Capture, PadReader, complaints
-from touchd.daemon.recorder.dialogue import Dialogue, Terms
-from touchd.daemon.recorder.session import Session
-from touchd.daemon.recorder.who import Setting
-from touchd.daemon.terminal.width import text_width
+from touchd.daemon.app import cli
+from touchd.daemon.app.config import Settings
+from touchd.daemon.record import dialogue
+from touchd.daemon.record.capture import Capture, PadReader, complaints
+from touchd.daemon.record.dialogue import Dialogue, Terms
+from touchd.daemon.record.session import Session
+from touchd.daemon.record.who import Setting
+from touchd.daemon.view.width import text_width
 from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.frame import Frame
 from touchd.drivers.recording import Recording, RecordingError, prepare, read_recordings, write_recordings

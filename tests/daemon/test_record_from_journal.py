@@ -15,13 +15,13 @@ from rigs.running_daemon import run_daemon
 from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S
 
-from touchd.daemon import cli
-from touchd.daemon.config import JournalSettings, SensorSettings, Settings
-from touchd.daemon.events import Event, Prediction, TouchBegan, TouchEnded, encode
-from touchd.daemon.kept.touch_store import EndedTouch, TouchStore, folder_of, kept_touches, read_frames
-from touchd.daemon.kept.touches import read_since
+from touchd.daemon.app import cli
+from touchd.daemon.app.config import JournalSettings, SensorSettings, Settings
+from touchd.daemon.path.events import Event, Prediction, TouchBegan, TouchEnded, encode
 from touchd.daemon.playback.stream import with_quiet
-from touchd.daemon.recorder.label import RIGHT
+from touchd.daemon.record.label import RIGHT
+from touchd.daemon.sinks.touch_store import EndedTouch, TouchStore, folder_of, kept_touches, read_frames
+from touchd.daemon.sinks.touches import read_since
 from touchd.drivers.recording import Recording, read_provenance, read_recordings
 from touchd.model.classifier import Classifier
 
@@ -319,7 +319,7 @@ def test_deleted_and_damaged_touches_are_passed_over(
     said = listed()
     assert "cannot be read as a recording" in said
     assert "2 of 2: touch 1" in said
-    monkeypatch.setattr("touchd.daemon.recorder.label.kept_touches", lambda _: [first, second])
+    monkeypatch.setattr("touchd.daemon.record.label.kept_touches", lambda _: [first, second])
     first.path.unlink()
     assert "No such file or directory" in listed()
 

@@ -15,12 +15,12 @@ from rigs.made_pad import MadePad, nothing, palm
 from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S
 
-from touchd.daemon import cli
-from touchd.daemon.config import SensorSettings, Settings
-from touchd.daemon.recorder.capture import PadLost, PadReader
-from touchd.daemon.recorder.dialogue import Dialogue, Terms
-from touchd.daemon.recorder.session import Session
-from touchd.daemon.recorder.who import Setting
+from touchd.daemon.app import cli
+from touchd.daemon.app.config import SensorSettings, Settings
+from touchd.daemon.record.capture import PadLost, PadReader
+from touchd.daemon.record.dialogue import Dialogue, Terms
+from touchd.daemon.record.session import Session
+from touchd.daemon.record.who import Setting
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.frame import Counts

@@ -19,13 +19,13 @@ from rigs.robots import needs_qi
 from rigs.small_disk import log_on_small_disk, needs_small_disk
 from rigs.wait import WITHIN_S, wait_for
 
-from touchd.daemon.config import JournalSettings, Settings
-from touchd.daemon.events import Event, RobotAction, SensorEvent, encode
-from touchd.daemon.journal import Journal, JournalError, JournalSink
-from touchd.daemon.kept.touches import decode, read_since
-from touchd.daemon.robot import RobotSink
-from touchd.daemon.service import Service
-from touchd.daemon.sinks import EventFanout, LinesSink, QueuedSink
+from touchd.daemon.app.config import JournalSettings, Settings
+from touchd.daemon.path.events import Event, RobotAction, SensorEvent, encode
+from touchd.daemon.path.service import Service
+from touchd.daemon.robot.sink import RobotSink
+from touchd.daemon.sinks.journal import Journal, JournalError, JournalSink
+from touchd.daemon.sinks.sink import EventFanout, LinesSink, QueuedSink
+from touchd.daemon.sinks.touches import decode, read_since
 from touchd.drivers.robot.link import RobotLink, Told
 from touchd.drivers.robot.session import RobotSettings
 
@@ -270,7 +270,7 @@ def test_an_unusable_journal_is_reported_in_one_line(tmp_path: Path) -> None:
 FILL_THE_DISK = """
 import json, logging, resource, signal, sys
 from pathlib import Path
-from touchd.daemon.journal import Journal
+from touchd.daemon.sinks.journal import Journal
 logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s")
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 path = Path(sys.argv[1]) / "events.jsonl"
@@ -315,7 +315,7 @@ def test_a_journal_survives_a_really_full_disk(tmp_path: Path) -> None:
 KILL_MID_WRITE = """
 import random, sys
 from pathlib import Path
-from touchd.daemon.journal import Journal
+from touchd.daemon.sinks.journal import Journal
 journal = Journal(Path(sys.argv[1]), max_bytes=100_000, keep=3)
 print("writing", flush=True)
 while True:

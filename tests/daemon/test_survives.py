@@ -22,18 +22,18 @@ from rigs.scripted_model import Scripted
 from rigs.terminal import Terminal
 from rigs.wait import AT_ONCE_S, WITHIN_S
 
-from touchd.daemon import cli
-from touchd.daemon.config import SensorSettings, Settings, load
-from touchd.daemon.events import Event, Prediction, TouchEnded, encode
-from touchd.daemon.journal import Journal, JournalError
-from touchd.daemon.kept.touch_store import TouchStore, kept_touches
-from touchd.daemon.kept.touches import read_journal, read_since
-from touchd.daemon.log import LogWriter
-from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
+from touchd.daemon.app import cli
+from touchd.daemon.app.config import SensorSettings, Settings, load
+from touchd.daemon.app.log import LogWriter
+from touchd.daemon.path.events import Event, Prediction, TouchEnded, encode
+from touchd.daemon.path.pipeline import Clock, Pipeline, PipelineSettings
+from touchd.daemon.path.staleness import Staleness
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
-from touchd.daemon.robot import link_to_robot
-from touchd.daemon.sinks import LinesSink
-from touchd.daemon.staleness import Staleness
+from touchd.daemon.robot.sink import link_to_robot
+from touchd.daemon.sinks.journal import Journal, JournalError
+from touchd.daemon.sinks.sink import LinesSink
+from touchd.daemon.sinks.touch_store import TouchStore, kept_touches
+from touchd.daemon.sinks.touches import read_journal, read_since
 from touchd.drivers.errors import TouchdError
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import Frame

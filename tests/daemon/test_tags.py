@@ -16,17 +16,17 @@ from rigs.patient_port import PATIENT, playing
 from rigs.running_daemon import SPEED
 from rigs.wait import WITHIN_S, wait_for
 
-from touchd.daemon import cli
+from touchd.daemon.app import cli
 from touchd.daemon.commands import tag as command
-from touchd.daemon.events import Event, RobotEvent, encode
-from touchd.daemon.kept.touches import decode
-from touchd.daemon.sinks import EventFanout
-from touchd.daemon.tags import ADDRESS, TagError, TagServer, changed
+from touchd.daemon.path.events import Event, RobotEvent, encode
+from touchd.daemon.sinks.sink import EventFanout
+from touchd.daemon.sinks.tags import ADDRESS, TagError, TagServer, changed
+from touchd.daemon.sinks.touches import decode
 
 SERVE = """
 import sys
-from touchd.daemon.sinks import EventFanout
-from touchd.daemon.tags import TagServer
+from touchd.daemon.sinks.sink import EventFanout
+from touchd.daemon.sinks.tags import TagServer
 with TagServer(EventFanout()):
     print(1, flush=True)
     sys.stdin.read()
@@ -36,7 +36,7 @@ AS_ANOTHER_USER = """
 import os
 from contextlib import suppress
 from touchd.daemon.commands.tag import main
-from touchd.daemon.tags import TagError
+from touchd.daemon.sinks.tags import TagError
 with suppress(TagError):
     main(["--pid", "1"])
 os.setuid(65534)

@@ -14,10 +14,10 @@ from rigs.programs import ran
 from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S
 
-from touchd.daemon import cli
+from touchd.daemon.app import cli
+from touchd.daemon.app.config import ConfigError, SensorSettings, Settings, load
 from touchd.daemon.commands import teach
 from touchd.daemon.commands.teach import with_model
-from touchd.daemon.config import ConfigError, SensorSettings, Settings, load
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import Counts
 from touchd.drivers.recording import Stream, ideal_clock_ms
@@ -193,7 +193,7 @@ from pathlib import Path
 from rich.console import Console
 from rigs.kills import killed_everywhere
 from touchd.daemon.commands import teach
-from touchd.daemon.config import load
+from touchd.daemon.app.config import load
 from touchd.model.classifier import SHIPPED_MODEL
 
 whole = SHIPPED_MODEL.read_bytes()

@@ -23,12 +23,12 @@ from rich.console import Console
 from rigs.made_events import PREDICTION
 from rigs.wait import WITHIN_S
 
-from touchd.daemon.config import Language
-from touchd.daemon.events import Prediction, RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
-from touchd.daemon.labels import Labeller, keys_of
-from touchd.daemon.terminal.big_words import big
-from touchd.daemon.terminal.view import View
-from touchd.daemon.words import name_of, vocabulary
+from touchd.daemon.app.config import Language
+from touchd.daemon.path.events import Prediction, RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
+from touchd.daemon.robot.words import name_of, vocabulary
+from touchd.daemon.sinks.labels import Labeller, keys_of
+from touchd.daemon.view.big_words import big
+from touchd.daemon.view.view import View
 from touchd.drivers.frame import DEFAULT_PAD, Frame
 
 SIZES = [(10, 5), (1, 1), (60, 24), (80, 24), (100, 30), (120, 40), (200, 60), (40, 16), (30, 8)]
@@ -38,9 +38,9 @@ MARKS = (54, 81, 144)
 # Shows a view until its input ends.
 SHOWN = """
 import sys
-from touchd.daemon.events import SensorEvent
-from touchd.daemon.terminal.view import View
-from touchd.daemon.words import vocabulary
+from touchd.daemon.path.events import SensorEvent
+from touchd.daemon.view.view import View
+from touchd.daemon.robot.words import vocabulary
 with View("a title", vocabulary("en", {}), (54, 81, 144)) as view:
     view.put(SensorEvent(state="up", time=""))
     sys.stdin.read()

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from rigs.made_pad import Scans, nothing, palm, pat
 from rigs.tracked_pad import TrackedPad
 
-from touchd.daemon.tracker.baseline import Baseline, LastSecond
-from touchd.daemon.tracker.tracker import Onset, Release, TouchSettings
+from touchd.daemon.path.tracker.baseline import Baseline, LastSecond
+from touchd.daemon.path.tracker.tracker import Onset, Release, TouchSettings
 from touchd.model.classifier import Classifier, as_known
 
 

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from rigs.made_pad import Scans, nothing, palm
 from rigs.tracked_pad import TrackedPad
 
-from touchd.daemon.tracker.tracker import Onset, Release, TouchSettings, beyond_one_wire, drift_of
+from touchd.daemon.path.tracker.tracker import Onset, Release, TouchSettings, beyond_one_wire, drift_of
 
 
 class Network:

@@ -20,9 +20,10 @@ from rigs.scripted_model import Scripted
 from rigs.small_disk import log_on_small_disk, needs_small_disk
 from rigs.wait import WITHIN_S
 
-from touchd.daemon.config import ConfigError, JournalSettings, SensorSettings, Settings
-from touchd.daemon.events import Event, Label, PadState, SensorEvent, TouchBegan, TouchEnded, timestamp
-from touchd.daemon.kept.touch_store import (
+from touchd.daemon.app.config import ConfigError, JournalSettings, SensorSettings, Settings
+from touchd.daemon.path.events import Event, Label, PadState, SensorEvent, TouchBegan, TouchEnded, timestamp
+from touchd.daemon.path.pipeline import Clock, Pipeline, PipelineSettings
+from touchd.daemon.sinks.touch_store import (
     LONGEST_FRAMES,
     PIECES,
     EndedTouch,
@@ -38,7 +39,6 @@ from touchd.daemon.kept.touch_store import (
     kept_touches,
     read_frames,
 )
-from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.drivers.frame import NO_TOUCH, Frame
 from touchd.drivers.recording import (
     SUFFIX,
@@ -370,7 +370,7 @@ FILL_A_SMALL_DISK = """
 import logging, sys
 from pathlib import Path
 from rigs.ended_touch import ended_touch
-from touchd.daemon.kept.touch_store import TouchStore, kept_touches, read_frames
+from touchd.daemon.sinks.touch_store import TouchStore, kept_touches, read_frames
 logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s")
 folder = Path(sys.argv[1]) / "touches"
 ballast = Path(sys.argv[1]) / "ballast"
@@ -402,7 +402,7 @@ KILL_MID_WRITE = """
 import sys
 from pathlib import Path
 from rigs.ended_touch import ended_touch
-from touchd.daemon.kept.touch_store import TouchStore
+from touchd.daemon.sinks.touch_store import TouchStore
 store = TouchStore(Path(sys.argv[1]), 10_000, "")
 number = int(sys.argv[2])
 print("writing", flush=True)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from touchd.daemon.tracker.loose_wire import LOOK_FRAMES, LooseWire
+from touchd.daemon.path.tracker.loose_wire import LOOK_FRAMES, LooseWire
 
 Frames = NDArray[np.float32]
 REST = np.full((8, 8), 3.0, np.float32)

@@ -1,7 +1,7 @@
 """The shipped words for gestures, and those of a deployment."""
 
-from touchd.daemon.config import Words
-from touchd.daemon.words import SHIPPED, name_of, vocabulary
+from touchd.daemon.app.config import Words
+from touchd.daemon.robot.words import SHIPPED, name_of, vocabulary
 
 
 def test_every_language_names_the_same_gestures() -> None:

@@ -34,20 +34,20 @@ from rigs.sockets import free_port
 from rigs.wait import wait_for
 from websockets.sync.client import connect
 
-from touchd.daemon.bridge_settings import MqttSettings, RosbridgeSettings
+from touchd.daemon.app.config import JournalSettings, LiveSettings, SceneSettings, SensorSettings, Settings
+from touchd.daemon.app.log import LogWriter
 from touchd.daemon.bridges.bridge import Bridge
 from touchd.daemon.bridges.mqtt import MqttBridge
 from touchd.daemon.bridges.rosbridge import RosbridgeBridge
-from touchd.daemon.config import JournalSettings, LiveSettings, SceneSettings, SensorSettings, Settings
-from touchd.daemon.events import Event, SensorEvent
-from touchd.daemon.journal import Journal, JournalSink
+from touchd.daemon.bridges.settings import MqttSettings, RosbridgeSettings
 from touchd.daemon.live.server import LiveServer
-from touchd.daemon.log import LogWriter
-from touchd.daemon.monitor import PadMonitor
-from touchd.daemon.pipeline import Clock, Pipeline, PipelineSettings
+from touchd.daemon.path.events import Event, SensorEvent
+from touchd.daemon.path.monitor import PadMonitor
+from touchd.daemon.path.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.daemon.playback.rig import encoder_for
-from touchd.daemon.robot import RobotSink
-from touchd.daemon.sinks import EventFanout
+from touchd.daemon.robot.sink import RobotSink
+from touchd.daemon.sinks.journal import Journal, JournalSink
+from touchd.daemon.sinks.sink import EventFanout
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.frame import SensorState
@@ -138,7 +138,7 @@ class World(RuleBasedStateMachine):
         link = RobotLink(RobotSettings(url=self.robot.url), open_session=self.robot.open_session)
         # A log that nobody reads.
         self.ends = os.pipe()
-        self.closing.enter_context(patch("touchd.daemon.log.LinesSink.capacity", 10))
+        self.closing.enter_context(patch("touchd.daemon.app.log.LinesSink.capacity", 10))
         self.log = LogWriter(self.ends[1])
         listening = socket.create_server(("127.0.0.1", 0))
         self.page_port = listening.getsockname()[1]

@@ -19,7 +19,7 @@ from rigs.mega_rig import FIRMWARE, Board, Run, build, build_board, compiler_mis
 from rigs.pad_circuit import SUPPLY_V, column_volts, pad, pressure
 from rigs.sensor_rig import next_frames, sensing
 
-from touchd.daemon import cli
+from touchd.daemon.app import cli
 from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT, Frame
 
 requires_compiler = pytest.mark.skipif(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from touchd.daemon.cli import COMMANDS, module_of
+from touchd.daemon.app.cli import COMMANDS, module_of
 from touchd.model.studies.__main__ import STUDIES, main
 
 ROOT = Path(__file__).parents[2]

@@ -13,9 +13,9 @@ from rigs.patient_port import PATIENT, PatientPort
 from rigs.robots import Robot
 from rigs.running_daemon import run_daemon
 
-from touchd.daemon.config import SensorSettings, Settings
-from touchd.daemon.decide import RELEASED_ABOVE
-from touchd.daemon.events import Event, Prediction, TouchBegan, TouchEnded
+from touchd.daemon.app.config import SensorSettings, Settings
+from touchd.daemon.path.decide import RELEASED_ABOVE
+from touchd.daemon.path.events import Event, Prediction, TouchBegan, TouchEnded
 from touchd.daemon.playback.rig import encoder_for
 from touchd.daemon.playback.stream import with_quiet
 from touchd.drivers.fakes.hand import simulate

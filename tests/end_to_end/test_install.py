@@ -17,8 +17,8 @@ from packaging.requirements import Requirement
 from rigs.expectations import DEMO
 from rigs.programs import ran
 
-from touchd.daemon.cli import COMMANDS
-from touchd.daemon.config import Settings, load
+from touchd.daemon.app.cli import COMMANDS
+from touchd.daemon.app.config import Settings, load
 
 ROOT = Path(__file__).parents[2]
 NOT_INSTALLED = (ROOT / "model" / "training", ROOT / "model" / "studies")

@@ -17,8 +17,8 @@ from rigs.expectations import LENGTHS, answers, expected, outline, stream_of
 from rigs.running_daemon import run_daemon, totals
 from rigs.service_manager import Manager
 
-from touchd.daemon.config import SensorSettings, Settings
-from touchd.daemon.events import Event, Prediction, TouchBegan
+from touchd.daemon.app.config import SensorSettings, Settings
+from touchd.daemon.path.events import Event, Prediction, TouchBegan
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import FRAME_RATE_HZ

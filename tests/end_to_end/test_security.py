@@ -17,9 +17,9 @@ from rigs.running_daemon import Daemon
 from rigs.sockets import LISTENS, LOOPBACK, sockets
 from rigs.wait import wait_for
 
-from touchd.daemon.config import JournalSettings
-from touchd.daemon.events import RobotEvent, SensorEvent
-from touchd.daemon.strict_yaml import StrictLoader
+from touchd.daemon.app.config import JournalSettings
+from touchd.daemon.app.strict_yaml import StrictLoader
+from touchd.daemon.path.events import RobotEvent, SensorEvent
 from touchd.drivers.robot.session import RobotSettings
 from touchd.model.training.recipe import MAX_BYTES, SettingsError, read_recipe
 
@@ -105,7 +105,7 @@ def test_the_models_runtime_sends_no_telemetry(tmp_path: Path) -> None:
     # It sends from a database in the home folder, and stays silent if it detects a test.
     silent_for_tests = ("ORT_DISABLE_TELEMETRY", "ORT_RUNNING_UNIT_TESTS", "CI", "GITHUB_ACTIONS")
     environment = {name: value for name, value in os.environ.items() if name not in silent_for_tests}
-    load = "from touchd.daemon.parts import load_models, Settings; load_models(Settings())"
+    load = "from touchd.daemon.app.parts import load_models, Settings; load_models(Settings())"
     environment |= {"HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path)}
     subprocess.run([sys.executable, "-c", load], env=environment, check=True, timeout=25)
     assert list(tmp_path.rglob("*")) == []

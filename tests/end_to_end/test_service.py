@@ -22,14 +22,14 @@ from rigs.robots import needs_qi
 from rigs.service_manager import Manager
 from rigs.wait import AT_ONCE_S, WITHIN_S
 
-from touchd.daemon.config import JournalSettings, LiveSettings, PadSettings, SensorSettings, Settings
-from touchd.daemon.events import SensorEvent, TouchEnded, encode
-from touchd.daemon.kept.touches import decode
-from touchd.daemon.parts import PadChannel
+from touchd.daemon.app.config import JournalSettings, LiveSettings, PadSettings, SensorSettings, Settings
+from touchd.daemon.app.parts import PadChannel
+from touchd.daemon.app.systemd import Health, Notifier
+from touchd.daemon.path.events import SensorEvent, TouchEnded, encode
+from touchd.daemon.path.service import Service
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
-from touchd.daemon.service import Service
-from touchd.daemon.sinks import LinesSink
-from touchd.daemon.systemd import Health, Notifier
+from touchd.daemon.sinks.sink import LinesSink
+from touchd.daemon.sinks.touches import decode
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.frame import Frame

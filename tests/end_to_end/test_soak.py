@@ -11,7 +11,7 @@ from rigs.audit import Audit
 from rigs.made_events import PREDICTION
 from rigs.soak_line import pad
 
-from touchd.daemon.events import Event, Prediction, TouchBegan, TouchEnded
+from touchd.daemon.path.events import Event, Prediction, TouchBegan, TouchEnded
 
 ROOT = Path(__file__).parents[2]
 BEGAN = TouchBegan(touch=1, time="", sensor_ms=0)

@@ -20,9 +20,9 @@ pytestmark = [pytest.mark.timeout(300), pytest.mark.usefixtures("one_thread")]
 import torch  # noqa: E402
 from rigs.programs import ran  # noqa: E402
 
-from touchd.daemon import cli  # noqa: E402
+from touchd.daemon.app import cli  # noqa: E402
+from touchd.daemon.app.config import Settings, load  # noqa: E402
 from touchd.daemon.commands import teach  # noqa: E402
-from touchd.daemon.config import Settings, load  # noqa: E402
 from touchd.daemon.doctor.machine import check_model  # noqa: E402
 from touchd.drivers.fakes.hand import simulate  # noqa: E402
 from touchd.drivers.recording import Recording, ideal_clock_ms, write_recordings  # noqa: E402

@@ -7,7 +7,7 @@ from collections import deque
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from touchd.daemon.events import Event, Prediction, TouchBegan, TouchEnded, encode
+from touchd.daemon.path.events import Event, Prediction, TouchBegan, TouchEnded, encode
 
 # A touch this long has had its final answer; two frames allow for the median at its end.
 FINAL_FRAMES = 144 + 2

@@ -13,7 +13,7 @@ from rigs.line_faults import NO_FAULTS, Faults, FaultyPort
 from rigs.sensor_rig import Encode, noise
 from rigs.wire import read_too_fast
 
-from touchd.daemon.config import Settings
+from touchd.daemon.app.config import Settings
 from touchd.daemon.doctor.check import Check
 from touchd.daemon.doctor.listening import Sample, listen
 from touchd.drivers.fakes.encode import encode_frame

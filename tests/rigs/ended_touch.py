@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from touchd.daemon.events import TouchBegan, TouchEnded, timestamp
-from touchd.daemon.kept.touch_store import EndedTouch
+from touchd.daemon.path.events import TouchBegan, TouchEnded, timestamp
+from touchd.daemon.sinks.touch_store import EndedTouch
 from touchd.drivers.frame import Frame
 
 FRAMES = 20

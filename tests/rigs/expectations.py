@@ -4,9 +4,9 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
-from touchd.daemon.config import Settings
-from touchd.daemon.events import Event, Prediction, TouchBegan, TouchEnded
-from touchd.daemon.pipeline import Pipeline
+from touchd.daemon.app.config import Settings
+from touchd.daemon.path.events import Event, Prediction, TouchBegan, TouchEnded
+from touchd.daemon.path.pipeline import Pipeline
 from touchd.daemon.playback.stream import DEMO_RECORDING as DEMO
 from touchd.daemon.playback.stream import play
 from touchd.drivers.fakes.hand import DEMO_SCRIPT, DEMO_SEED

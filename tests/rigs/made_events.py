@@ -2,7 +2,7 @@
 
 import logging
 
-from touchd.daemon.events import Prediction, TouchBegan
+from touchd.daemon.path.events import Prediction, TouchBegan
 
 TIME = "2026-11-20T10:00:01.000Z"
 # Change a field with msgspec.structs.replace.

@@ -14,10 +14,10 @@ from rigs.expectations import FOLDER, RECORDINGS, outline
 from rigs.lines import LINES, read_line, write_line
 from rigs.streams import STREAMS, Sent
 
-from touchd.daemon.config import Settings
-from touchd.daemon.events import Event, SensorEvent
-from touchd.daemon.monitor import PadMonitor
-from touchd.daemon.pipeline import Clock, Pipeline
+from touchd.daemon.app.config import Settings
+from touchd.daemon.path.events import Event, SensorEvent
+from touchd.daemon.path.monitor import PadMonitor
+from touchd.daemon.path.pipeline import Clock, Pipeline
 from touchd.drivers.frame import CLOCK_MODULUS, Counts, Frame, SensorState
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.protocol import parser_of

@@ -8,7 +8,7 @@ from pathlib import Path
 from rigs.expectations import stream_of
 from rigs.line_faults import FaultyPort
 
-from touchd.daemon.config import SceneSettings, SensorSettings
+from touchd.daemon.app.config import SceneSettings, SensorSettings
 from touchd.daemon.playback.rig import encoder_for
 from touchd.drivers.recording import Stream
 

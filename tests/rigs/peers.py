@@ -19,9 +19,9 @@ import pytest
 from rigs.sockets import free_port
 from rigs.wait import WITHIN_S, wait_for
 
-from touchd.daemon.bridge_settings import LslSettings, MqttSettings, Ros2Settings, RosbridgeSettings
 from touchd.daemon.bridges.apart import ApartBridge
 from touchd.daemon.bridges.bridge import Bridge
+from touchd.daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings, RosbridgeSettings
 from touchd.drivers.frame import Frame
 
 PAD = "pad"

@@ -18,7 +18,7 @@ class Missing(importlib.abc.MetaPathFinder):
         if name.partition(".")[0] in {module for modules in EXTRAS.values() for module in modules}:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 sys.meta_path.insert(0, Missing())
-from touchd.daemon import cli
+from touchd.daemon.app import cli
 """
 
 

@@ -20,8 +20,8 @@ from rigs.expectations import RECORDINGS, answers, expectation_of, outline, stre
 from rigs.lines import LINES
 from rigs.streams import STREAMS, Sent
 
+from touchd.daemon.app.config import Settings
 from touchd.daemon.commands.one_pad import load_model
-from touchd.daemon.config import Settings
 from touchd.drivers.fakes.hand import simulate, write_simulated
 from touchd.drivers.recording import read_recordings
 

@@ -16,8 +16,8 @@ from rigs.made_events import PREDICTION
 from rigs.sockets import free_port
 from rigs.wait import SOON_S
 
-from touchd.daemon.events import timestamp
-from touchd.daemon.robot import told_of
+from touchd.daemon.path.events import timestamp
+from touchd.daemon.robot.sink import told_of
 from touchd.drivers.fakes.loopback_robot import LoopbackRobot
 from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.installed import qi_installed

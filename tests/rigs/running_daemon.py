@@ -9,8 +9,8 @@ from rigs.expectations import LENGTHS
 from rigs.patient_port import PATIENT, PatientPort, playing
 from rigs.wait import WITHIN_S, wait_for
 
-from touchd.daemon.config import SensorSettings, Settings
-from touchd.daemon.events import Event
+from touchd.daemon.app.config import SensorSettings, Settings
+from touchd.daemon.path.events import Event
 from touchd.daemon.playback.rig import SpawnedDaemon
 from touchd.drivers.fakes.fake_port import FakePort
 

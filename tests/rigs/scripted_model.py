@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.daemon.tracker.baseline import SECOND_FRAMES
-from touchd.daemon.tracker.tracker import STILL_FRAMES
+from touchd.daemon.path.tracker.baseline import SECOND_FRAMES
+from touchd.daemon.path.tracker.tracker import STILL_FRAMES
 from touchd.model.classifier import ModelState
 
 LABELS = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")

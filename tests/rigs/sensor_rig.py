@@ -10,7 +10,7 @@ import numpy as np
 from rigs.formats import FabricGrid, encode_fabric_grid
 from rigs.wait import AT_ONCE_S, WITHIN_S, wait_for
 
-from touchd.daemon.monitor import PadMonitor
+from touchd.daemon.path.monitor import PadMonitor
 from touchd.drivers.fakes.encode import encode_frame
 from touchd.drivers.frame import Counts, Frame, SensorState
 from touchd.drivers.pad.format import PadFormat

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from touchd.daemon.config import SensorSettings
+from touchd.daemon.app.config import SensorSettings
 from touchd.daemon.playback.rig import encoder_for
 from touchd.daemon.playback.stream import with_quiet
 from touchd.drivers.fakes.hand import simulate

@@ -3,8 +3,8 @@
 import numpy as np
 from rigs.made_pad import MadePad, Scans, nothing
 
-from touchd.daemon.tracker.network_check import PNoTouch
-from touchd.daemon.tracker.tracker import Onset, Release, TouchSettings, TouchTracker
+from touchd.daemon.path.tracker.network_check import PNoTouch
+from touchd.daemon.path.tracker.tracker import Onset, Release, TouchSettings, TouchTracker
 from touchd.drivers.pad.grid import GridFrame
 
 

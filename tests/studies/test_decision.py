@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from touchd.daemon.decide import DecisionSettings
+from touchd.daemon.path.decide import DecisionSettings
 from touchd.drivers.fakes.hand import simulate
 from touchd.model.classifier import Classifier
 from touchd.model.studies.decision import (

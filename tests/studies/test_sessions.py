@@ -9,7 +9,7 @@ from rigs.haart_folder import SECOND_STUDY, needs_second_study, recordings_of
 from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 from rigs.scripted_model import Scripted
 
-from touchd.daemon.events import TouchEnded, epoch_s, timestamp
+from touchd.daemon.path.events import TouchEnded, epoch_s, timestamp
 from touchd.drivers.recording import Recording, Selection, ideal_clock_ms, read_recordings
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 from touchd.model.studies.play import frames_of, play

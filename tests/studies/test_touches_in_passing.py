@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from touchd.daemon.events import Event, Prediction, Stage, TouchBegan, TouchEnded, timestamp
+from touchd.daemon.path.events import Event, Prediction, Stage, TouchBegan, TouchEnded, timestamp
 from touchd.drivers.recording import Recording, ideal_clock_ms
 from touchd.model.studies.sessions import changes, passing
 from touchd.model.studies.sessions.passing import PassingSession, PassingTouch, judge, score

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from touchd.daemon.events import UNCERTAIN, Event, Prediction, epoch_s
+from touchd.daemon.path.events import UNCERTAIN, Event, Prediction, epoch_s
 from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH, Counts
 from touchd.drivers.recording import Recording
 from touchd.model.studies.checks.evaluate import Split

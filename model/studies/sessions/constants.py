@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.daemon import monitor, pipeline
-from touchd.daemon.events import Event, SensorEvent
-from touchd.daemon.tracker import baseline, loose_wire, network_check, tracker
+from touchd.daemon.path import monitor, pipeline
+from touchd.daemon.path.events import Event, SensorEvent
+from touchd.daemon.path.tracker import baseline, loose_wire, network_check, tracker
 from touchd.drivers.pad import vibration
 from touchd.model.classifier import SHIPPED_MODEL, Classifier, ModelState
 from touchd.model.studies.folders import study_parser

@@ -20,8 +20,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.daemon.decide import RELEASED_ABOVE
-from touchd.daemon.events import UNCERTAIN, Event, Prediction, epoch_s
+from touchd.daemon.path.decide import RELEASED_ABOVE
+from touchd.daemon.path.events import UNCERTAIN, Event, Prediction, epoch_s
 from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT, NO_TOUCH, Counts
 from touchd.drivers.recording import Recording, set_up
 from touchd.model.classifier import SHIPPED_MODEL, Classifier

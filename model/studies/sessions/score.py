@@ -9,7 +9,7 @@ from math import inf
 import msgspec
 import numpy as np
 
-from touchd.daemon.events import Event, Prediction, TouchBegan, TouchEnded, epoch_s
+from touchd.daemon.path.events import Event, Prediction, TouchBegan, TouchEnded, epoch_s
 from touchd.drivers.frame import FRAME_RATE_HZ
 from touchd.model.studies.sessions.plan import PlannedSession, Stretch
 

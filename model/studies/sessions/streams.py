@@ -17,9 +17,9 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from touchd.daemon.config import SceneSettings, SensorSettings, Settings
-from touchd.daemon.events import UNCERTAIN, Event, Prediction, TouchBegan, TouchEnded
-from touchd.daemon.pipeline import Clock, Pipeline
+from touchd.daemon.app.config import SceneSettings, SensorSettings, Settings
+from touchd.daemon.path.events import UNCERTAIN, Event, Prediction, TouchBegan, TouchEnded
+from touchd.daemon.path.pipeline import Clock, Pipeline
 from touchd.drivers.frame import NO_TOUCH
 from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.protocol import parser_of

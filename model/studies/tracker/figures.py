@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.daemon.tracker.tracker import TouchSettings
+from touchd.daemon.path.tracker.tracker import TouchSettings
 from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH
 from touchd.drivers.recording import Recording
 from touchd.model.studies.tracker.measure import (

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.daemon.tracker.baseline import MIN_NOISE_FLOOR
-from touchd.daemon.tracker.tracker import CALIBRATION_FRAMES, Onset, Release, TouchSettings, TouchTracker
+from touchd.daemon.path.tracker.baseline import MIN_NOISE_FLOOR
+from touchd.daemon.path.tracker.tracker import CALIBRATION_FRAMES, Onset, Release, TouchSettings, TouchTracker
 from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH
 from touchd.drivers.pad.grid import GridFrame
 from touchd.drivers.recording import Recording, set_up

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 import msgspec
 
-from touchd.daemon.tracker.tracker import TouchSettings
+from touchd.daemon.path.tracker.tracker import TouchSettings
 from touchd.model.studies.folders import study_parser
 from touchd.model.studies.marked import fill, table
 from touchd.model.studies.results import STORED

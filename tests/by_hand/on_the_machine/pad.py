@@ -9,7 +9,7 @@ import tty
 from contextlib import suppress
 from pathlib import Path
 
-from touchd.daemon.config import DEFAULT_PORT, SensorSettings
+from touchd.daemon.app.config import DEFAULT_PORT, SensorSettings
 from touchd.daemon.playback.rig import encoder_for
 from touchd.drivers.frame import FRAME_RATE_HZ
 from touchd.drivers.recording import read_recordings, splice

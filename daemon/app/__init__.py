@@ -1,0 +1,1 @@
+"""The command, its configuration, and what is wrong in it."""

@@ -1,0 +1,213 @@
+"""Reads a YAML file into typed settings; a mistake in it is reported in one line.
+
+touchd.example.yaml explains every setting, docs/pads.md the format of a pad.
+"""
+
+import errno
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Literal, TypeAlias
+
+import msgspec
+
+from touchd.daemon.app.strict_yaml import ConfigError as ConfigError
+from touchd.daemon.app.strict_yaml import convert
+from touchd.daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings, RosbridgeSettings, Section
+from touchd.daemon.path.decide import DecisionSettings
+from touchd.daemon.path.pipeline import PipelineSettings
+from touchd.daemon.path.tracker.tracker import TouchSettings
+from touchd.daemon.robot.actions import ActionRule, Name
+from touchd.drivers.errors import TouchdError, written_out
+from touchd.drivers.frame import DEFAULT_PAD, ROWS
+from touchd.drivers.pad.format import PRESETS, PadFormat, Side
+from touchd.drivers.robot.session import RobotSettings
+
+MAX_BYTES = 64 * 1024
+DEFAULT_PORT = "/dev/touchd-pad"
+
+FABRIC = "fabric-grid"
+# On a pad of a kind that the network never met, 51 % of the final answers to touches are right. 44 % have
+# this confidence, and of these 70 % are right (fabric.onnx on the third study's windows).
+FINAL_ABOVE_ON_ANOTHER_PAD = 0.6
+# Errors of a machine that has no descriptors or memory left.
+NO_ROOM = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)
+OVERRIDES = ("rows", "columns", "crop", "invert", "turn", "mirror")
+
+Language: TypeAlias = Literal["en", "de"]
+# Not gt=0, here and elsewhere: msgspec makes that the smallest denormal float, which equals 0 once the model
+# is loaded and denormals count as zero.
+Length = Annotated[float, msgspec.Meta(ge=0.001, le=10_000)]
+
+
+@contextmanager
+def config_errors(prefix: str = "") -> Iterator[None]:
+    """Raise any error that a configuration causes as ConfigError, but not a lack of descriptors or memory."""
+    try:
+        yield
+    except (TouchdError, ImportError, MemoryError):
+        raise
+    except Exception as error:
+        if isinstance(error, OSError) and error.errno in NO_ROOM:
+            raise
+        raise ConfigError(f"{prefix}the configuration cannot be used: {error}; check its values") from error
+
+
+class SensorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The pad and the line it is on. rows to mirror override those of the format."""
+
+    port: Annotated[str, msgspec.Meta(min_length=1)] = DEFAULT_PORT
+    baud: Annotated[int, msgspec.Meta(ge=1200, le=4_000_000)] = 512_000
+    format: str | PadFormat = FABRIC
+    rows: Side | None = None
+    columns: Side | None = None
+    crop: Annotated[int, msgspec.Meta(ge=0, le=28)] | None = None
+    invert: bool | None = None
+    turn: Literal[0, 90, 180, 270] | None = None
+    mirror: bool | None = None
+    size_mm: tuple[Length, Length] | None = None
+
+    def __post_init__(self) -> None:
+        if isinstance(self.format, str) and self.format not in PRESETS:
+            raise ValueError(f"format {self.format!r} is none of {', '.join(PRESETS)}, nor a description")
+        described, is_udp = self.described, self.port.startswith("udp://")
+        if described.poll and is_udp:
+            raise ValueError("a pad that has to be asked for frames cannot be reached at udp://; use tcp://")
+        has_mark = described.first_bytes or described.poll or described.framing != "binary"
+        if not has_mark and not is_udp:
+            raise ValueError(
+                "a binary format needs a header, a footer or a poll; lines of numbers need framing: text"
+            )
+
+    @property
+    def described(self) -> PadFormat:
+        """The pad's format, with the overrides applied."""
+        described = PRESETS[self.format] if isinstance(self.format, str) else self.format
+        own = {name: getattr(self, name) for name in OVERRIDES if getattr(self, name) is not None}
+        return PadFormat(**(msgspec.structs.asdict(described) | own))
+
+
+class SceneSettings(DecisionSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A scene for the pipeline, and what the robot does in it: see `touchd.daemon.robot.actions`."""
+
+    actions: tuple[ActionRule, ...] = ()
+
+
+class PadSettings(SensorSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One of several pads; scene and model default to those of the file."""
+
+    scene: SceneSettings | None = None
+    model: str | None = None
+
+
+class JournalSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The file of events, one JSON object a line.
+
+    max_mb: size at which a new file is begun. keep: number of older files; path.1 is the newest.
+    """
+
+    path: str | None = None
+    max_mb: Annotated[float, msgspec.Meta(ge=0.001, le=10_000)] = 10.0
+    keep: Annotated[int, msgspec.Meta(ge=0, le=100)] = 5
+    keep_touches: Annotated[int, msgspec.Meta(ge=1, le=10_000)] | None = None
+
+    @property
+    def file(self) -> Path:
+        """The file that path stands for."""
+        if self.path is not None:
+            return written_out(self.path)
+        if service := os.environ.get("STATE_DIRECTORY"):
+            return Path(service) / "events.jsonl"
+        users = os.environ.get("XDG_STATE_HOME") or "~/.local/state"
+        return written_out(users) / "touchd" / "events.jsonl"
+
+
+class LiveSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Where the live page is served. port: 0 is any that is free."""
+
+    host: Annotated[str, msgspec.Meta(min_length=1)] = "127.0.0.1"
+    port: Annotated[int, msgspec.Meta(ge=0, le=65535)] = 8054
+    label: bool = False
+
+
+class Words(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A gesture's name ("pat"), and its form in a sentence ("a pat")."""
+
+    name: Name
+    phrase: Name
+
+
+class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """All settings of `touchd run`. sensor: the only pad. sensors: instead of it, several by their names."""
+
+    sensor: SensorSettings = SensorSettings()
+    sensors: dict[str, PadSettings] = {}
+    model: str | None = None
+    touch: TouchSettings = TouchSettings()
+    scene: SceneSettings = SceneSettings()
+    robot: RobotSettings | None = None
+    journal: JournalSettings | None = None
+    live: LiveSettings | None = None
+    mqtt: MqttSettings | None = None
+    lsl: LslSettings | None = None
+    ros2: Ros2Settings | None = None
+    rosbridge: RosbridgeSettings | None = None
+    language: Language = "en"
+    words: dict[str, Words] = {}
+    log_level: Literal["debug", "info", "warning", "error"] = "info"
+
+    def __post_init__(self) -> None:
+        if self.sensors and self.sensor != SensorSettings():
+            raise ValueError("sensor and sensors are both set; keep one")
+        if self.sensors:
+            from touchd.daemon.app.several_pads import check
+
+            needs_ascii = self.ros2 or self.rosbridge or (self.mqtt and self.mqtt.discovery)
+            check({name: pad.port for name, pad in self.sensors.items()}, needs_ascii=bool(needs_ascii))
+
+    @property
+    def pads(self) -> dict[str, "Settings"]:
+        """Each pad's name with settings in which it is the only one, as `sensor`."""
+        if not self.sensors:
+            return {DEFAULT_PAD: self}
+        return {
+            name: msgspec.structs.replace(
+                self,
+                sensors={},
+                sensor=SensorSettings(**{key: getattr(pad, key) for key in SensorSettings.__struct_fields__}),
+                scene=pad.scene or self.scene,
+                model=pad.model or self.model,
+            )
+            for name, pad in self.sensors.items()
+        }
+
+    @property
+    def bridges(self) -> dict[str, Section | None]:
+        return {"mqtt": self.mqtt, "lsl": self.lsl, "ros2": self.ros2, "rosbridge": self.rosbridge}
+
+    @property
+    def pipeline(self) -> PipelineSettings:
+        decision = self.scene
+        if self.sensor.described.line != PRESETS[FABRIC].line:
+            # The network errs more often there, so the last answer has to be sure as well.
+            limits = {"final_above": FINAL_ABOVE_ON_ANOTHER_PAD, "released_above": decision.speak_above}
+            unset = {name: limit for name, limit in limits.items() if getattr(decision, name) is None}
+            decision = msgspec.structs.replace(decision, **unset)
+        size_mm, is_finer = self.sensor.size_mm, max(self.sensor.described.used) > ROWS
+        return PipelineSettings(touch=self.touch, decision=decision, size_mm=size_mm, is_finer=is_finer)
+
+
+def load(path: Path) -> Settings:
+    """Read a configuration file; raises ConfigError with one line that says what to do."""
+    try:
+        with path.open("rb") as file:
+            text = file.read(MAX_BYTES + 1)
+    except OSError as error:
+        denied = isinstance(error, PermissionError)
+        advice = "put sudo before the command" if denied else "check the path after -c"
+        raise ConfigError(f"{path}: cannot be read ({error.strerror}); {advice}") from error
+    if len(text) > MAX_BYTES:
+        raise ConfigError(f"{path}: larger than {MAX_BYTES // 1024} KiB, so not a touchd configuration")
+    with config_errors(f"{path}: "):
+        return convert(path, text, Settings)

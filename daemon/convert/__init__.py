@@ -1,1 +1,0 @@
-"""Journals and recordings in the formats that other programs open."""

@@ -1,1 +1,0 @@
-"""Reads the journal back, and keeps the frames of touches."""

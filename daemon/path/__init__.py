@@ -1,0 +1,1 @@
+"""What runs for each frame: pipeline, tracker, decision, events."""

@@ -1,0 +1,176 @@
+"""Decides which answer to a touch is reported, and when it is revised."""
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Literal, TypeAlias
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.daemon.path.events import UNCERTAIN, Stage
+from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH
+
+Probability = Annotated[float, msgspec.Meta(ge=0, le=1)]
+FrameCount = Annotated[int, msgspec.Meta(ge=1, le=432)]
+# Frames after which a touch may be answered early, about a sixth of a second.
+EARLIEST_FRAMES = 9
+
+# A gesture has changed when the log odds of another against the told one have risen by this, counting the
+# second number as the least probability. With 6, 2 % more changes are told, and 1 % more that are none.
+CHANGED_LOG_ODDS = 6.5
+LEAST_PROBABILITY = 0.01
+
+Sure: TypeAlias = Literal["eager", "balanced"]
+
+# The confidence from which an answer is sure one second into a touch. An earlier answer needs more and a
+# later one less, because waiting helps less and less (docs/decision.md).
+SURE: dict[Sure, float] = {"eager": 0.5, "balanced": 0.7}
+SURE_FALLS = 0.2
+# An ended touch is told from this confidence on: nothing more comes that could make the answer surer. The
+# curve is in docs/decision.md.
+RELEASED_ABOVE = 0.4
+# "No touch" counts this much in the answer to an ended touch: the tracker has followed it from its first to
+# its last contact. Without this, one light touch in a hundred more is not named.
+ENDED_NOTOUCH = 0.15
+
+
+def sure_above(confidence: float, frames: int) -> float:
+    """Return the confidence from which an answer is sure after `frames`. confidence: the same after 54."""
+    return confidence + SURE_FALLS * math.log(FRAME_RATE_HZ / frames)
+
+
+class DecisionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One scene: which gestures can occur, when to answer, and how sure to be; see touchd.example.yaml.
+
+    The defaults were measured: docs/decision.md. "notouch" can always occur; do not list it. final_above and
+    released_above: None is 0 and RELEASED_ABOVE, and more on a pad of another kind (`Settings.pipeline`).
+    """
+
+    gestures: tuple[str, ...] = ()
+    answer_at_frames: tuple[FrameCount, FrameCount, FrameCount] = (54, 81, 144)
+    early: Literal["at_mark", "when_sure"] = "at_mark"
+    sure: Sure = "balanced"
+    speak_above: Probability = 0.65
+    final_above: Probability | None = None
+    released_above: Probability | None = None
+    revise_margin: Probability = 0.1
+    stale_s: Annotated[float, msgspec.Meta(ge=0.001, le=60)] = 2.0
+    ongoing: bool = True
+
+    def __post_init__(self) -> None:
+        early, revised, final = self.answer_at_frames
+        if not early < revised < final:
+            raise ValueError(f"answer_at_frames {self.answer_at_frames} must rise from early to final")
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """The answer at one stage; the fields are those of `touchd.daemon.path.events.Prediction`."""
+
+    stage: Stage
+    gesture: str
+    confidence: float
+    probabilities: dict[str, float]
+    changed: bool
+    told: bool
+    perhaps: str = ""
+
+
+class Decision:
+    """One touch: which answer stands, what the robot was told, and when to tell it.
+
+    Until an answer is told, the most probable gesture stands. It is told once its probability reaches the
+    stage's limit. A told answer is replaced only by a gesture that is now more probable by `revise_margin`
+    and reaches that limit too; otherwise it stands, and is not told again. "notouch" may stand, but it is
+    never told and never replaces a told answer.
+    """
+
+    def __init__(self, settings: DecisionSettings, labels: tuple[str, ...]) -> None:
+        self._settings = settings
+        self._labels = labels
+        occurs = {*(settings.gestures or labels), NO_TOUCH}
+        self._occurs = [label in occurs for label in labels]
+        self._ended = np.where([label == NO_TOUCH for label in labels], ENDED_NOTOUCH, 1.0)
+        self.may_be_early = settings.early == "when_sure"
+        self._stands: str | None = None
+        self._answered: dict[str, float] = {}
+        self.told: str | None = None
+
+    def answer(self, stage: Stage, probabilities: NDArray[np.float64], *, may_tell: bool = True) -> Answer:
+        """Return the answer to (labels,) calibrated probabilities at a stage.
+
+        At "released", the answer's stage becomes "uncertain" if nothing was told before and this answer may
+        not be told. At "uncertain", for a touch that ended with nothing told, it always is. may_tell:
+        False when it is too late to tell. An "ongoing" answer is reported, and stands, only if it is told.
+        """
+        has_ended = stage in ("released", "uncertain")
+        scene = self.weigh(probabilities * self._ended if has_ended else probabilities)
+        best = _likeliest(scene)
+        may_tell = may_tell and best != NO_TOUCH
+        tell = may_tell and self._is_told(stage, best, scene)
+        if stage == "uncertain" or (stage == "released" and self.told is None and not tell):
+            # A touch without a name is told, unless the model sees no touch at all.
+            perhaps = "" if best == NO_TOUCH else best
+            return Answer("uncertain", UNCERTAIN, scene[best], scene, True, may_tell, perhaps)
+        stands = best if tell or self.told is None else self.told
+        changed = stands != self._stands
+        if stage != "ongoing" or tell:
+            self._stands, self._answered = stands, scene
+        self.told = stands if tell else self.told
+        return Answer(stage, stands, scene[stands], scene, changed, tell)
+
+    def _is_told(self, stage: Stage, best: str, scene: dict[str, float]) -> bool:
+        """Whether the most probable gesture is told: a first answer, or one that beats the told one."""
+        if scene[best] < self._limit(stage):
+            return False
+        return self.told is None or (
+            best != self.told and scene[best] - scene[self.told] >= self._settings.revise_margin
+        )
+
+    def is_sure_of_released(self, probabilities: NDArray[np.float64], *, is_over: bool) -> bool:
+        """Whether to answer a touch whose hand has left. is_over: so long ago that it has likely ended."""
+        scene = self.weigh(probabilities * self._ended if is_over else probabilities)
+        best, limit = _likeliest(scene), self._limit("released" if is_over else "early")
+        return self.told is None and best != NO_TOUCH and scene[best] >= limit
+
+    def has_changed(self, probabilities: NDArray[np.float64]) -> bool:
+        """Whether a touch's latest frames show another gesture than the last answer: (labels,) probabilities.
+
+        A high probability is not enough: the last answer may have been wrong, so the odds must have shifted.
+        """
+        now = self.weigh(probabilities)
+        pair = (_likeliest(now), self.told or NO_TOUCH)
+        odds = []
+        for scene in (now, self._answered):
+            likely, other = (max(scene.get(label, 0.0), LEAST_PROBABILITY) for label in pair)
+            odds.append(likely / other)
+        return math.log(odds[0] / odds[1]) >= CHANGED_LOG_ODDS
+
+    def is_sure(self, probabilities: NDArray[np.float64], frames: int) -> bool:
+        """Whether to answer early now, `frames` into the touch; False for an answer that may not be told."""
+        scene = self.weigh(probabilities)
+        best = _likeliest(scene)
+        limit = max(sure_above(SURE[self._settings.sure], frames), self._settings.speak_above)
+        return frames >= EARLIEST_FRAMES and best != NO_TOUCH and scene[best] >= limit
+
+    def _limit(self, stage: Stage) -> float:
+        """Return the confidence from which an answer is told at a stage."""
+        settings = self._settings
+        if stage == "final":
+            return settings.final_above or 0.0
+        if stage == "released":
+            return RELEASED_ABOVE if settings.released_above is None else settings.released_above
+        return settings.speak_above
+
+    def weigh(self, probabilities: NDArray[np.float64]) -> dict[str, float]:
+        """Return (labels,) probabilities by label, renormalised over the gestures that can occur."""
+        kept = [p if occurs else 0.0 for p, occurs in zip(probabilities.tolist(), self._occurs, strict=True)]
+        if not any(kept):
+            kept = [float(occurs) for occurs in self._occurs]
+        total = sum(kept)
+        return {label: value / total for label, value in zip(self._labels, kept, strict=True)}
+
+
+def _likeliest(scene: dict[str, float]) -> str:
+    return max(scene, key=lambda label: scene[label])

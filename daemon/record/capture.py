@@ -1,0 +1,211 @@
+"""Reads the pad during a recording and checks the result."""
+
+import logging
+import time
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from touchd.daemon.app.config import Settings
+from touchd.daemon.path.monitor import TaxelFaults
+from touchd.daemon.path.tracker.tracker import Onset, Release, TouchTracker
+from touchd.daemon.record.who import Setting
+from touchd.drivers.frame import CLOCK_MODULUS, MIN_RATE_HZ, NO_TOUCH, Frame, SensorState
+from touchd.drivers.pad.grid import Ring
+from touchd.drivers.pad.pace import clock_ms, pace_of
+from touchd.drivers.pad.port import check_port
+from touchd.drivers.pad.protocol import parser_of
+from touchd.drivers.pad.sensor import FrameQueue, Sensor
+from touchd.drivers.recording import Recording
+
+SILENCE_S = 2.5
+RESTARTED_MS = 1000
+MOST_LOST_SHARE = 0.02
+LEAST_TOUCHED_SHARE = 0.5
+# A touch that ended is at most this old: the quiet that ends it comes on top of the time for a single one.
+HISTORY_FRAMES = 1000
+SINGLE_WITHIN_S, LONGEST_SINGLE_S = 8.0, 2.0
+# Rest before a single touch that is kept.
+LEAD_MS = 1000
+NO_FRAME = "no frames arrive: is the pad plugged in and running?"
+
+
+class PadLost(Exception):  # noqa: N818 - names what happened; the recording is repeated
+    """The pad went away or restarted during a recording; the message is for the user."""
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """Recorded frames, and the share of them in which the pad was touched."""
+
+    frames: tuple[Frame, ...]
+    touched_share: float
+
+    def recording(self, setting: Setting, gesture: str) -> Recording:
+        """Return the frames as a recording, on the pad's own clock."""
+        counts = np.stack([frame.pressure for frame in self.frames])
+        return Recording(*setting, gesture, counts, clock_ms(self.frames), "live")
+
+
+@dataclass(frozen=True, eq=False)
+class SingleCapture:
+    """A gesture made once. touch: first and last contact by the pad's clock, None if there was none."""
+
+    frames: tuple[Frame, ...]
+    touch: tuple[int, int] | None
+
+    @property
+    def length_s(self) -> float:
+        return 0.0 if self.touch is None else (self.touch[1] - self.touch[0]) % CLOCK_MODULUS / 1000
+
+    def recordings(self, setting: Setting, gesture: str) -> list[Recording]:
+        """Return the rest before, the touch, and the rest after, as the daemon saves a touch."""
+        if self.touch is None:
+            return []
+        since_ms = [(frame.sensor_ms - self.frames[0].sensor_ms) % CLOCK_MODULUS for frame in self.frames]
+        first_ms, last_ms = ((ms - self.frames[0].sensor_ms) % CLOCK_MODULUS for ms in self.touch)
+        first = bisect_left(since_ms, first_ms)
+        after = bisect_right(since_ms, last_ms)
+        start = bisect_left(since_ms, first_ms - LEAD_MS)
+        clocks = clock_ms(self.frames)
+        return [
+            Recording(
+                *setting,
+                name,
+                np.stack([frame.pressure for frame in self.frames[begin:stop]]),
+                clocks[begin:stop],
+                "live",
+            )
+            for name, begin, stop in (
+                (NO_TOUCH, start, first),
+                (gesture, first, after),
+                (NO_TOUCH, after, len(self.frames)),
+            )
+            if begin < stop
+        ]
+
+
+class PadReader:
+    """Reads the pad during a session. A context manager; entering raises SensorError."""
+
+    def __init__(self, settings: Settings) -> None:
+        sensor = settings.sensor
+        self._settings = settings
+        self._queue = FrameQueue()
+        self._sensor = Sensor(sensor.port, sensor.baud, parser_of(sensor.described), self._queue)
+        self._taxels = TaxelFaults()
+        self._away = ""
+
+    def __enter__(self) -> "PadReader":
+        check_port(self._settings.sensor.port, self._settings.sensor.baud)
+        # Log lines would break the progress bar; the dialogue shows the sensor's faults itself.
+        logging.getLogger("touchd.drivers").addHandler(logging.NullHandler())
+        self._sensor.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._sensor.stop()
+
+    @property
+    def troubles(self) -> list[str]:
+        """Current faults of taxels, in words."""
+        return list(self._taxels.faults.values())
+
+    def await_frame(self, within_s: float) -> str:
+        """Drop queued frames and wait for a new one; return why none arrived, "" if one did."""
+        for _ in range(len(self._queue)):
+            self._note(self._queue.get(timeout_s=0))
+        until_s = time.monotonic() + within_s
+        while (left_s := until_s - time.monotonic()) > 0:
+            item = self._queue.get(timeout_s=left_s)
+            self._note(item)
+            if isinstance(item, Frame):
+                return ""
+        return self._away or NO_FRAME
+
+    def follow(self, seconds: float) -> Iterator[tuple[float, Frame]]:
+        """Yield (seconds since the first frame, frame) for a number of seconds on the pad's clock.
+
+        Raises PadLost if the pad goes away or restarts.
+        """
+        passed_ms = 0
+        last: Frame | None = None
+        while passed_ms < 1000 * seconds:
+            match self._queue.get(timeout_s=SILENCE_S):
+                case Frame() as frame:
+                    step_ms = (frame.sensor_ms - last.sensor_ms) % CLOCK_MODULUS if last else 0
+                    if step_ms > RESTARTED_MS:
+                        raise PadLost("the pad restarted or was disconnected: check its plug")
+                    passed_ms += step_ms
+                    last = frame
+                    self._taxels.update(frame)
+                    yield passed_ms / 1000, frame
+                case SensorState() as state:
+                    self._note(state)
+                    if self._away:
+                        raise PadLost(self._away)
+                case None:
+                    raise PadLost(self._away or NO_FRAME)
+
+    def _note(self, item: Frame | SensorState | None) -> None:
+        if isinstance(item, SensorState):
+            self._away = item.reason if item.state == "down" else ""
+
+
+class Contact:
+    """Tracks whether the pad is touched; the first frames must show it at rest.
+
+    touch: first and last contact of the first touch that ended, by the pad's clock.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self._ring = Ring(HISTORY_FRAMES)
+        self._tracker = TouchTracker(settings.touch)
+        self._touched = False
+        self.touch: tuple[int, int] | None = None
+
+    def update(self, frame: Frame) -> bool:
+        """Process the next frame; return whether the pad is touched."""
+        for laid in self._ring.push(frame):
+            match self._tracker.update(laid):
+                case Onset():
+                    self._touched = True
+                case Release(first_index, last_index):
+                    self._touched = False
+                    if self.touch is None:
+                        self.touch = self._clock_at(first_index), self._clock_at(last_index)
+        return self._touched
+
+    def _clock_at(self, index: int) -> int:
+        (frame,) = self._ring.frames(index, index + 1)
+        return round(frame.sensor_ms) % CLOCK_MODULUS
+
+
+def complaints_about_single(capture: SingleCapture, troubles: list[str]) -> list[str]:
+    """Return reasons to repeat a gesture made once, one line each; none if it is usable."""
+    found = list(troubles)
+    if capture.touch is None:
+        found.append(f"no touch began and ended within {SINGLE_WITHIN_S:g} s")
+    elif capture.length_s > LONGEST_SINGLE_S:
+        found.append(f"that took {capture.length_s:.1f} s; once is enough")
+    return found
+
+
+def complaints(capture: Capture, gesture: str, troubles: list[str]) -> list[str]:
+    """Return reasons to repeat a recording, one line each; none if it is usable."""
+    found = list(troubles)
+    pace = pace_of(capture.frames)
+    if pace.rate_hz < MIN_RATE_HZ:
+        found.append(f"{pace.rate_hz:.1f} frames a second arrive; {MIN_RATE_HZ:.0f} or more are needed")
+        return found
+    if pace.lost > MOST_LOST_SHARE * len(capture.frames):
+        found.append(f"{pace.lost} frames were lost: check cable and plug")
+    if gesture == NO_TOUCH and capture.touched_share > 0:
+        found.append("something touched the pad")
+    elif gesture != NO_TOUCH and capture.touched_share == 0:
+        found.append("no touch was detected: hands off during the countdown, then press a little harder")
+    elif gesture != NO_TOUCH and capture.touched_share < LEAST_TOUCHED_SHARE:
+        found.append(f"a touch was detected for only {capture.touched_share:.0%} of the time")
+    return found

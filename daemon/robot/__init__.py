@@ -1,0 +1,1 @@
+"""What the robot is told: words, reactions, events in its memory."""

@@ -1,0 +1,110 @@
+"""The rules for the robot's reactions, as in touchd.example.yaml; `reactions.py` applies them."""
+
+import re
+from typing import Annotated, TypeAlias
+
+import msgspec
+
+from touchd.daemon.path.events import UNCERTAIN, Stage
+from touchd.daemon.path.feel import Feel
+
+Name = Annotated[str, msgspec.Meta(min_length=1, max_length=200)]
+# Every touch has these; a direction or a length in mm it may not have.
+MEASURES = tuple(field.name for field in msgspec.structs.fields(Feel) if field.required)
+# Excludes NaN, which no measure is above or below.
+Finite: TypeAlias = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
+
+COLORS = {
+    "white": 0xFFFFFF,
+    "red": 0xFF0000,
+    "green": 0x00FF00,
+    "blue": 0x0000FF,
+    "yellow": 0xFFFF00,
+    "magenta": 0xFF00FF,
+    "cyan": 0x00FFFF,
+    "off": 0x000000,
+}
+PLACEHOLDER = re.compile(r"\{\{|\}\}|\{(gesture|name|phrase|confidence)\}")
+
+Speech = Annotated[str, msgspec.Meta(min_length=1, max_length=500)]
+Seconds = Annotated[float, msgspec.Meta(ge=0, le=3600)]
+
+
+class Leds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Fade a group of lights to a colour. color: a name of COLORS or "#rrggbb"."""
+
+    color: str
+    group: Name = "FaceLeds"
+    fade_s: Annotated[float, msgspec.Meta(ge=0, le=60)] = 0.3
+
+    def __post_init__(self) -> None:
+        if self.color not in COLORS and not re.fullmatch(r"#[0-9a-fA-F]{6}", self.color):
+            raise ValueError(f"color {self.color!r} is neither #rrggbb nor one of {', '.join(COLORS)}")
+
+    @property
+    def rgb(self) -> int:
+        """The colour as 0xRRGGBB, as ALLeds takes it."""
+        return COLORS[self.color] if self.color in COLORS else int(self.color[1:], 16)
+
+
+class Action(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """One thing the robot does: exactly one of these is set.
+
+    say and animated_say may hold {gesture} (the model's label), {name} and {phrase} (see `config.Words`), and
+    {confidence} (whole percent).
+    """
+
+    say: Speech | None = None
+    animated_say: Speech | None = None
+    behavior: Name | None = None
+    leds: Leds | None = None
+
+    def __post_init__(self) -> None:
+        kinds = self.__struct_fields__
+        given = [kind for kind in kinds if getattr(self, kind) is not None]
+        if len(given) != 1:
+            raise ValueError(
+                f"an action is exactly one of {', '.join(kinds)}; here: {', '.join(given) or 'none'}"
+            )
+        for template in (self.say, self.animated_say):
+            if template is not None:
+                _check_placeholders(template)
+
+
+class ActionRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """When the robot carries out which actions, in order.
+
+    gestures: empty means any gesture, but "uncertain" must be named.
+    stages: whether the answer is told at that stage or was told before. Empty means any stage at which the
+    answer is news: the first of its touch, or another than the last. Either way, a rule fires once per answer
+    and touch: with [final, released], once on the settled answer.
+    changed: only for an answer that replaces another one of the same touch. Such an answer triggers the rules
+    with changed: true if any fits, and only otherwise those without.
+    above, below: only for a touch whose measures are at least these, or less than these.
+    """
+
+    do: Annotated[tuple[Action, ...], msgspec.Meta(min_length=1, max_length=16)]
+    gestures: tuple[Name, ...] = ()
+    stages: tuple[Stage, ...] = ()
+    changed: bool = False
+    above: dict[str, Finite] = {}
+    below: dict[str, Finite] = {}
+    refractory_s: Seconds = 0.0
+
+    def __post_init__(self) -> None:
+        if unknown := [measure for measure in (*self.above, *self.below) if measure not in MEASURES]:
+            raise ValueError(f"{unknown[0]!r} is not one of {', '.join(MEASURES)}")
+        is_told_only = set(self.stages) == {UNCERTAIN} and UNCERTAIN not in self.gestures
+        is_meant_only = set(self.gestures) == {UNCERTAIN} and self.stages and UNCERTAIN not in self.stages
+        if is_told_only or is_meant_only:
+            raise ValueError(
+                f"such a rule never acts: {UNCERTAIN} is told at stage {UNCERTAIN}; name it in both"
+            )
+
+
+def _check_placeholders(template: str) -> None:
+    if re.search("[{}]", PLACEHOLDER.sub("", template)):
+        raise ValueError(
+            f"{template!r} may hold {{gesture}}, {{name}}, {{phrase}} and {{confidence}}, nothing else in "
+            "braces; write {{ for a brace"
+        )

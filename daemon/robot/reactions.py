@@ -1,0 +1,145 @@
+"""Chooses the rules that an answer triggers, and asks the robot for their actions."""
+
+import math
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import msgspec
+
+from touchd.daemon.app.config import Settings, Words
+from touchd.daemon.path.events import (
+    MAX_REASON_BYTES,
+    UNCERTAIN,
+    ActionKind,
+    Event,
+    Prediction,
+    RobotAction,
+    timestamp,
+)
+from touchd.daemon.robot.actions import Action, ActionRule
+from touchd.daemon.robot.words import Vocabulary, words_of
+from touchd.drivers.errors import one_line
+from touchd.drivers.robot.acting import Act, animated_say, run_behavior, say, set_leds
+
+# Touches that are remembered: more than can go on at once.
+MOST_TOUCHES = 64
+
+OnAct = Callable[[Prediction, ActionKind, str], None]
+
+
+class Reactions:
+    """Passes on the actions that the answers of all pads trigger.
+
+    rules: of each pad. words: of the gestures, for speech. act: has the robot carry out acts in order.
+    on_act: called from the robot's thread as an action begins, with its kind, and its words or name.
+    """
+
+    def __init__(
+        self,
+        rules: Mapping[str, Sequence[ActionRule]],
+        words: Vocabulary,
+        act: Callable[[Sequence[Act]], None],
+        on_act: OnAct,
+    ) -> None:
+        self._choices = {pad: Choice(of_pad) for pad, of_pad in rules.items()}
+        self._words = words
+        self._act = act
+        self._on_act = on_act
+
+    def on_answer(self, answer: Prediction) -> None:
+        """Ask the robot for what an answer triggers, if anything; returns at once."""
+        actions = self._choices[answer.pad].actions(answer, time.monotonic())
+        if actions:
+            self._act([self._act_of(action, answer) for action in actions])
+
+    def _act_of(self, action: Action, answer: Prediction) -> Act:
+        def begins(kind: ActionKind, what: str) -> Callable[[], None]:
+            return lambda: self._on_act(answer, kind, what)
+
+        if action.say is not None:
+            words = spoken(action.say, answer.gesture, answer.confidence, self._words)
+            return say(words, begins("say", words))
+        if action.animated_say is not None:
+            words = spoken(action.animated_say, answer.gesture, answer.confidence, self._words)
+            return animated_say(words, begins("animated_say", words))
+        if action.behavior is not None:
+            return run_behavior(action.behavior, begins("behavior", action.behavior))
+        leds = action.leds
+        assert leds is not None, "an action is exactly one of these"
+        return set_leds(leds.group, leds.rgb, leds.fade_s, begins("leds", leds.color))
+
+
+def make_reactions(
+    settings: Settings,
+    rules: Mapping[str, Sequence[ActionRule]],
+    act: Callable[[Sequence[Act]], None],
+    emit: Callable[[Event], None],
+) -> Reactions:
+    """Return the reactions by the rules of each pad. emit: receives an event as the robot begins to act."""
+
+    def note(answer: Prediction, kind: ActionKind, what: str) -> None:
+        now = timestamp(time.time())
+        shown = one_line(what, MAX_REASON_BYTES)
+        emit(RobotAction(touch=answer.touch, action=kind, what=shown, time=now, pad=answer.pad))
+
+    return Reactions(rules, words_of(settings), act, note)
+
+
+@dataclass
+class _Reported:
+    """The last answer to a touch that the robot was sent, and the rules that this answer has triggered."""
+
+    gesture: str | None = None
+    rules: set[int] = field(default_factory=set)
+
+
+class Choice:
+    """Chooses what an answer on one pad triggers; remembers the last answer of each recent touch."""
+
+    def __init__(self, rules: Sequence[ActionRule]) -> None:
+        self._rules = tuple(rules)
+        self._ready_s = [float("-inf")] * len(self._rules)
+        self._reported: OrderedDict[int, _Reported] = OrderedDict()
+
+    def actions(self, answer: Prediction, now_s: float) -> list[Action]:
+        """Return the actions for an answer, in order. now_s: any clock that never goes back.
+
+        Unsent answers trigger only stage rules of the gesture that was sent.
+        """
+        last = self._reported.setdefault(answer.touch, _Reported())
+        if len(self._reported) > MOST_TOUCHES:
+            self._reported.popitem(last=False)
+        before = last.gesture
+        is_news = answer.gesture != before
+        if is_news and not answer.told:
+            return []
+        if is_news:
+            last.gesture, last.rules = answer.gesture, set()
+        fitting = {index: rule for index, rule in enumerate(self._rules) if _fits(rule, answer, is_news)}
+        is_change = is_news and before is not None and any(rule.changed for rule in fitting.values())
+        actions: list[Action] = []
+        for index, rule in fitting.items():
+            if rule.changed == is_change and now_s >= self._ready_s[index] and index not in last.rules:
+                self._ready_s[index] = now_s + rule.refractory_s
+                last.rules.add(index)
+                actions += rule.do
+        return actions
+
+
+def _fits(rule: ActionRule, answer: Prediction, is_news: bool) -> bool:
+    is_named = answer.gesture in rule.gestures if rule.gestures else answer.gesture != UNCERTAIN
+    # A touch without measures is neither high nor low in any.
+    measured = msgspec.structs.asdict(answer.feel) if answer.feel else {}
+    is_like = all(measured.get(measure, -math.inf) >= least for measure, least in rule.above.items())
+    is_like &= all(measured.get(measure, math.inf) < most for measure, most in rule.below.items())
+    return is_named and is_like and (answer.stage in rule.stages if rule.stages else is_news)
+
+
+def spoken(template: str, gesture: str, confidence: float, words: Vocabulary) -> str:
+    """Fill in the gesture, its words where it has any, and the confidence (0 to 1) in whole percent."""
+    called = words.get(gesture) or Words(name=gesture, phrase=gesture)
+    return template.format(
+        gesture=gesture, name=called.name, phrase=called.phrase, confidence=round(100 * confidence)
+    )

@@ -1,0 +1,90 @@
+"""The robot as a sink of events: it gets told answers and the pads' states, and acts as the scene asks."""
+
+import itertools
+import time
+from collections.abc import Callable
+
+from touchd.daemon.app.config import Settings
+from touchd.daemon.path.events import (
+    MAX_REASON_BYTES,
+    Event,
+    Prediction,
+    RobotEvent,
+    SensorEvent,
+    epoch_s,
+    timestamp,
+)
+from touchd.drivers.errors import one_line
+from touchd.drivers.robot.link import RobotLink, Told
+from touchd.drivers.robot.session import OpenSession
+from touchd.drivers.robot.worker import LinkState
+
+
+class RobotSink:
+    """Sends told answers and the pads' states to the robot. The link has its own queues and threads.
+
+    react: receives every answer, told or not.
+    """
+
+    def __init__(self, link: RobotLink, react: Callable[[Prediction], None] = lambda _: None) -> None:
+        self._link = link
+        self._react = react
+        self._numbers = itertools.count(1)
+
+    def start(self) -> None:
+        self._link.start()
+
+    def put(self, event: Event) -> None:
+        """Send a told prediction to the robot, react to any; returns at once. Call it from one thread."""
+        if isinstance(event, Prediction):
+            if event.told:
+                self._link.put(told_of(event, next(self._numbers)))
+            self._react(event)
+        elif isinstance(event, SensorEvent):
+            self._link.set_status(event.state, event.pad)
+
+    def stop(self, timeout_s: float) -> None:
+        self._link.stop(timeout_s)
+
+
+def told_of(answer: Prediction, number: int) -> Told:
+    """Return an answer with [gesture, confidence, [seconds, microseconds], stage, touch, number].
+
+    ALMemory holds 4-byte integers and floats. As a float an epoch time would have a resolution of 128 s, so
+    it is sent as two integers. Integers wrap at 2**31.
+    """
+    seconds, microseconds = divmod(round(1_000_000 * epoch_s(answer.time)), 1_000_000)
+    sent = [_int32(seconds), microseconds]
+    numbers = [_int32(answer.touch), _int32(number)]
+    detail = [answer.gesture, answer.confidence, sent, answer.stage, *numbers]
+    return Told(answer.pad, answer.gesture, detail)
+
+
+def _int32(number: int) -> int:
+    return number & 0x7FFF_FFFF
+
+
+def link_to_robot(
+    settings: Settings, emit: Callable[[Event], None], open_session: OpenSession | None = None
+) -> RobotSink:
+    """Return the link to the configured robot; raises RobotError.
+
+    emit: receives an event when the robot comes, goes or acts, from the link's threads.
+    open_session: how to reach the robot; real qi by default.
+    """
+
+    def report(state: LinkState, reason: str) -> None:
+        why = one_line(reason, MAX_REASON_BYTES)
+        emit(RobotEvent(state=state, time=timestamp(time.time()), reason=why))
+
+    assert settings.robot is not None, "no robot is configured"
+    rules = {name: pad.scene.actions for name, pad in settings.pads.items()}
+    link = RobotLink(settings.robot, report, open_session, pads=rules, acts=any(rules.values()))
+    for name in settings.pads:
+        # Report "down" until frames come: a program that waits for "up" must not find a missing pad up.
+        link.set_status("down", name)
+    if not any(rules.values()):
+        return RobotSink(link)
+    from touchd.daemon.robot.reactions import make_reactions
+
+    return RobotSink(link, make_reactions(settings, rules, link.act, emit).on_answer)

@@ -1,0 +1,1 @@
+"""Where events go: the journal, saved touches, labels and tags."""

@@ -1,0 +1,90 @@
+"""Labels: what a person says that a touch was, from the keyboard or the live page."""
+
+import shlex
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from touchd.daemon.app.config import Settings
+from touchd.daemon.path.events import Event, Label, timestamp
+from touchd.daemon.sinks.touch_store import folder_of, kept_touches
+from touchd.drivers.errors import TouchdError
+from touchd.drivers.frame import NO_TOUCH
+from touchd.drivers.installed import program_name
+from touchd.model.classifier import Classifier
+
+# The key of each gesture but notouch, in order. l, q, u and w are commands of `touchd record`.
+KEYS = "123456789abcdefghijkmnoprstvxyz"
+NO_TOUCH_KEY = "0"
+
+# From this many labelled touches on, and at each multiple, it says how to learn from them.
+ENOUGH = 10
+
+
+class LabelError(TouchdError):
+    """A label cannot be taken; the message is one line that says why."""
+
+
+class Labeller:
+    """Makes an event of each label, and says how to learn from them once there are enough. Thread-safe.
+
+    emit: receives the events. gestures: that a touch may have been, by pad. folders: of kept touches, by pad,
+    without those that keep none.
+    """
+
+    def __init__(
+        self,
+        emit: Callable[[Event], None],
+        gestures: Mapping[str, Sequence[str]],
+        folders: Mapping[str, Path],
+    ) -> None:
+        self._emit = emit
+        self.gestures = gestures
+        self._folders = folders
+        self._before = {pad: _labelled_in(folder) for pad, folder in folders.items()}
+        self._labelled: dict[str, set[int]] = {pad: set() for pad in gestures}
+
+    def label(self, pad: str, touch: int, gesture: str) -> str:
+        """Emit a label; return how to learn from the labels if there are enough now, else "".
+
+        Raises LabelError if there is no such pad or gesture.
+        """
+        known = self.gestures.get(pad)
+        if known is None:
+            raise LabelError(f"{pad}: no pad has this name")
+        if gesture not in known:
+            raise LabelError(f"{gesture}: not a gesture of this pad's model; it knows {', '.join(known)}")
+        is_new = touch not in self._labelled[pad]
+        self._labelled[pad].add(touch)
+        self._emit(Label(touch=touch, gesture=gesture, time=timestamp(time.time()), pad=pad))
+        count = self._before.get(pad, 0) + len(self._labelled[pad])
+        return self._advice(pad, count) if is_new and count % ENOUGH == 0 else ""
+
+    def _advice(self, pad: str, count: int) -> str:
+        folder = self._folders.get(pad)
+        if folder is None:
+            return f"{count} touches labelled; set journal.keep_touches, so that touchd can learn from them"
+        # A gesture that nobody has labelled yet must not be dropped.
+        how = f"{program_name()} train --keep-all --extra {shlex.quote(str(folder))}"
+        return f"{count} touches labelled; to learn from them: {how}"
+
+
+def make_labeller(
+    settings: Settings, models: Mapping[str, Classifier], emit: Callable[[Event], None]
+) -> Labeller:
+    """Return what takes labels of touches; raises RecordingError if kept touches cannot be read."""
+    journal = settings.journal
+    folders = {}
+    if journal is not None and journal.keep_touches is not None:
+        folders = {name: folder_of(journal.file, name) for name in settings.pads}
+    return Labeller(emit, {name: model.labels for name, model in models.items()}, folders)
+
+
+def keys_of(gestures: Sequence[str]) -> dict[str, str]:
+    """Return the gesture of each key."""
+    named = dict(zip(KEYS, (gesture for gesture in gestures if gesture != NO_TOUCH), strict=False))
+    return named | ({NO_TOUCH_KEY: NO_TOUCH} if NO_TOUCH in gestures else {})
+
+
+def _labelled_in(folder: Path) -> int:
+    return sum(bool(kept.label) for kept in kept_touches(folder))

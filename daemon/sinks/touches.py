@@ -1,0 +1,131 @@
+"""Reads events back from lines and journals, and groups them by touch."""
+
+import os
+from collections.abc import Iterable
+from contextlib import suppress
+from pathlib import Path
+
+import msgspec
+
+from touchd.daemon.path.events import Event, Prediction, TouchBegan, TouchEnded, epoch_s
+from touchd.daemon.sinks.journal import MAX_LINE_BYTES, JournalError
+from touchd.drivers.errors import os_errors_as
+from touchd.drivers.whole_file import without_waiting
+
+# Only the end of a journal is read, thousands of touches; a journal may have gigabytes.
+TAIL_BYTES = 4_000_000
+# The year 2500: earlier times fit into the nanoseconds of every format that touchd writes.
+LAST_S = 16_725_225_600.0
+
+
+class EventError(ValueError):
+    """A line is not an event; the message says what is wrong with it."""
+
+
+class ReportedTouch(msgspec.Struct):
+    """One touch and its events. ended: None while it goes on, or if its end is not known."""
+
+    began: TouchBegan
+    predictions: list[Prediction] = []
+    ended: TouchEnded | None = None
+
+    def add(self, event: Prediction | TouchEnded) -> None:
+        """Add an answer or the end; those of another touch are ignored."""
+        if event.touch == self.began.touch:
+            if isinstance(event, Prediction):
+                self.predictions.append(event)
+            else:
+                self.ended = event
+
+
+def gather(events: Iterable[Event]) -> list[ReportedTouch]:
+    """Group events by touch, in order; events that belong to no touch are ignored."""
+    touches: list[ReportedTouch] = []
+    latest: dict[str, ReportedTouch] = {}
+    for event in events:
+        match event:
+            case TouchBegan():
+                latest[event.pad] = ReportedTouch(event)
+                touches.append(latest[event.pad])
+            case Prediction() | TouchEnded() if event.pad in latest:
+                latest[event.pad].add(event)
+    return touches
+
+
+def decode(line: bytes | str) -> Event:
+    """Return the event that a line of JSON holds; raises EventError when it holds none."""
+    try:
+        event: Event = msgspec.json.decode(line, type=Event)
+        if not 0.0 <= epoch_s(event.time) < LAST_S:
+            raise ValueError(f"time {event.time}")
+    # RecursionError: lists nested too deeply.
+    except (msgspec.DecodeError, ValueError, OverflowError, RecursionError) as error:
+        raise EventError(f"not an event: {error}") from error
+    return event
+
+
+def read_events(path: Path, last_bytes: int | None = None) -> tuple[list[Event], list[EventError]]:
+    """Parse a journal into events and errors; a last line without its end is left for later.
+
+    last_bytes: read only this much of the end, from its first whole line on. Raises JournalError;
+    FileNotFoundError is its cause when there is no file.
+    """
+    events: list[Event] = []
+    wrong: list[EventError] = []
+    reading = os_errors_as(JournalError, f"journal {path}: cannot be read", "check the path")
+    with reading, open(path, "rb", opener=without_waiting) as file:
+        if last_bytes is not None and os.fstat(file.fileno()).st_size > last_bytes:
+            file.seek(-last_bytes, os.SEEK_END)
+            file.readline()
+        while line := file.readline(MAX_LINE_BYTES):
+            if line.endswith(b"\n"):
+                try:
+                    events.append(decode(line))
+                except EventError as error:
+                    wrong.append(error)
+            elif len(line) == MAX_LINE_BYTES:
+                wrong.append(EventError("longer than any event; not a journal"))
+    return events, wrong
+
+
+def read_journal(path: Path) -> list[ReportedTouch]:
+    """Return the touches in the last part of a journal; raises JournalError when it is not a journal."""
+    events, wrong = read_events(path, TAIL_BYTES)
+    if wrong and not events:
+        raise JournalError(
+            f"{path}: neither a journal of events nor a .csv or .csv.gz of recordings ({wrong[-1]})"
+        )
+    return gather(events)
+
+
+def read_since(path: Path, time: str) -> list[ReportedTouch]:
+    """Return the touches of a journal that began at a time (as in events) or later, oldest first.
+
+    Also reads older files (path.1 and so on), as far back as needed; skips half lines and lines without an
+    event. Raises JournalError when a file is there and cannot be read.
+    """
+    since: list[Event] = []
+    # Resolve a symlink: the older files are beside its target.
+    for file in _newest_first(path.resolve()):
+        try:
+            events, _ = read_events(file)
+        except JournalError as error:
+            # Just rotated away, or not there yet.
+            if isinstance(error.__cause__, FileNotFoundError):
+                continue
+            raise
+        since = [event for event in events if event.time >= time] + since
+        # Look at the newest event: a computer without a battery-backed clock starts in 1970.
+        if events and max(event.time for event in events) < time:
+            break
+    return [touch for touch in gather(since) if touch.began.time >= time]
+
+
+def _newest_first(path: Path) -> list[Path]:
+    """Return a journal and its older files; their numbers may have gaps."""
+    with suppress(OSError):
+        numbers = [name.removeprefix(f"{path.name}.") for name in os.listdir(path.parent)]
+        found = sorted(int(number) for number in numbers if number.isascii() and number.isdecimal())
+        older = (path.with_name(f"{path.name}.{number}") for number in found)
+        return [path, *(file for file in older if not file.is_dir())]
+    return [path]

@@ -1,0 +1,457 @@
+"""The terminal view: pad, answer, time line, probabilities, and the robot's words."""
+
+import logging
+import signal
+import textwrap
+import threading
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+
+import numpy as np
+from msgspec import field
+from numpy.typing import NDArray
+from rich.console import Console, ConsoleOptions
+from rich.live import Live
+from rich.segment import Segment
+from rich.style import Style
+
+from touchd.daemon.app.log import LogGate
+from touchd.daemon.path.events import (
+    UNCERTAIN,
+    Event,
+    Label,
+    LivePrediction,
+    Prediction,
+    RobotAction,
+    RobotEvent,
+    SensorEvent,
+    TouchBegan,
+    TouchEnded,
+)
+from touchd.daemon.robot.words import Vocabulary, name_of
+from touchd.daemon.sinks.labels import LabelError, Labeller, keys_of
+from touchd.daemon.sinks.touches import ReportedTouch
+from touchd.daemon.view.bars import bars
+from touchd.daemon.view.big_words import big
+from touchd.daemon.view.describe import describe
+from touchd.daemon.view.pad_picture import DrawnLine, level_of, pad_picture
+from touchd.daemon.view.palette import palette_for
+from touchd.daemon.view.time_line import Flag, time_line
+from touchd.drivers.frame import COLUMNS, DEFAULT_PAD, FRAME_RATE_HZ, ROWS, Counts, Frame
+
+REFRESH_HZ = 12
+TOUCHES = 12
+NOTES = 50
+# Time constant of the rest in frames, and four times the noise in counts, as on the live page.
+REST_FRAMES = 54
+NOISE_COUNTS = 3.0
+# A touch begins this many frames before it is detected.
+LATE_FRAMES = 3
+LONGEST_TRACE = 60 * 54
+NARROWEST, LOWEST = 40, 16
+LEAST_COLUMNS, LEAST_ROWS = 20, 6
+# Minimum heights for large letters, and for blank lines between parts.
+LOW, HIGH = 18, 33
+# Room for bars before the first answer.
+FEWEST_BARS = 7
+LARGEST_SCALE = 8
+GAP = 2
+# A message may hold a command to copy, which a single row would cut off.
+NOTE_ROWS = 3
+
+
+class ShownTouch(ReportedTouch):
+    """A touch so far. trace: (seconds since it began, sum of counts). label: what a person said it was."""
+
+    trace: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=LONGEST_TRACE))
+    label: str = ""
+
+    @property
+    def length_s(self) -> float:
+        if self.ended is not None:
+            return self.ended.frames / FRAME_RATE_HZ
+        return self.trace[-1][0] if self.trace else 0.0
+
+
+class View:
+    """A sink that draws events, frames and notes. Thread-safe.
+
+    words: display names of gestures. answer_at_frames: the scene's marks. console: standard output by
+    default. card: lines to show if there is room. pad: the pad shown.
+    labeller: takes what a person says, by a key, that the touch on the screen was; None if nobody can.
+    """
+
+    def __init__(
+        self,
+        title: str,
+        words: Vocabulary,
+        answer_at_frames: Sequence[int],
+        console: Console | None = None,
+        card: str = "",
+        pad: str = DEFAULT_PAD,
+    ) -> None:
+        self._title = title
+        self._words = words
+        self._marks_s = [frames / FRAME_RATE_HZ for frames in answer_at_frames]
+        self._card = card.splitlines()
+        self._shown_pad = pad
+        self._console = console or Console()
+        self._palette = palette_for(self._console)
+        self._lock = threading.Lock()
+        self._rest: NDArray[np.float64] | None = None
+        self._pressure = np.zeros((ROWS, COLUMNS))
+        self._recent: deque[float] = deque([0.0], maxlen=LATE_FRAMES)
+        self._last_ms: int | None = None
+        self._touches: deque[ShownTouch] = deque(maxlen=TOUCHES)
+        self._labels: dict[str, str] = {}
+        self._now: LivePrediction | None = None
+        self._states = {"pad": "awaited"}
+        self._said_by_robot = ""
+        self._doing = ""
+        self._notes: deque[tuple[str, bool]] = deque(maxlen=NOTES)
+        self.labeller: Labeller | None = None
+        self.is_watched = True
+        self._live = Live(
+            console=self._console,
+            get_renderable=lambda: self,
+            refresh_per_second=REFRESH_HZ,
+            screen=True,
+            redirect_stdout=False,
+            redirect_stderr=False,
+        )
+
+    def start(self) -> None:
+        """Do nothing; the context manager starts it."""
+
+    def put_frame(self, frame: Frame, dropped: int, pad: str) -> None:
+        """Show a frame if it is the shown pad's. dropped: frames dropped so far, which the log reports."""
+        if pad == self._shown_pad:
+            self.show_frame(frame.pressure, frame.sensor_ms)
+
+    def show_frame(self, pressure: Counts, sensor_ms: int) -> None:
+        """Show (8, 8) counts at the next refresh. sensor_ms: the sensor's clock."""
+        with self._lock:
+            touch = self._going_on()
+            if self._rest is None:
+                self._rest = pressure.astype(np.float64)
+            elif touch is None:
+                self._rest += (pressure - self._rest) / REST_FRAMES
+            self._pressure = np.maximum(pressure - self._rest - NOISE_COUNTS, 0.0)
+            load = float(self._pressure.sum())
+            self._recent.append(load)
+            step_s = max(sensor_ms - self._last_ms, 0) / 1000 if self._last_ms is not None else 0.0
+            self._last_ms = sensor_ms
+            if touch is not None:
+                touch.trace.append((touch.length_s + min(step_s, 1.0), load))
+
+    def note(self, text: str, is_bad: bool = False) -> None:
+        with self._lock:
+            self._notes.append((text, is_bad))
+
+    def log(self, record: logging.LogRecord) -> None:
+        """Show a line of the log, since on standard error it would corrupt the view."""
+        self.note(record.getMessage(), record.levelno >= logging.WARNING)
+
+    def doing(self, text: str) -> None:
+        self._doing = text
+
+    def on_key(self, key: str) -> None:
+        """Label the touch on the screen with the gesture of a key; any other key does nothing."""
+        if self.labeller is None:
+            return
+        gesture = keys_of(self.labeller.gestures[self._shown_pad]).get(key)
+        with self._lock:
+            touch = self._touches[-1].began.touch if self._touches else None
+        if gesture is None or touch is None:
+            return
+        try:
+            if advice := self.labeller.label(self._shown_pad, touch, gesture):
+                self.note(advice)
+        except LabelError as error:
+            self.note(str(error), is_bad=True)
+
+    def put(self, event: Event | LivePrediction) -> None:
+        if not isinstance(event, RobotEvent) and event.pad != self._shown_pad:
+            return
+        with self._lock:
+            if isinstance(event, TouchBegan | Prediction | TouchEnded):
+                self._now = None
+            match event:
+                case LivePrediction():
+                    self._now = event
+                    self._name_labels(event.probabilities)
+                case TouchBegan():
+                    shown = ShownTouch(event)
+                    shown.trace.extend((n / FRAME_RATE_HZ, load) for n, load in enumerate(self._recent))
+                    self._touches.append(shown)
+                    self._said_by_robot = ""
+                case Prediction() | TouchEnded() if self._touches:
+                    self._touches[-1].add(event)
+                    if isinstance(event, Prediction):
+                        self._name_labels(event.probabilities)
+                case Label():
+                    for touch in self._touches:
+                        if touch.began.touch == event.touch:
+                            touch.label = event.gesture
+                case SensorEvent():
+                    self._states["pad"] = event.state
+                case RobotEvent():
+                    self._states["robot"] = event.state
+                case RobotAction(action="say" | "animated_say"):
+                    self._said_by_robot = f"“{event.what}”"
+                case RobotAction(action="behavior"):
+                    self._said_by_robot = event.what
+        if isinstance(event, SensorEvent | RobotEvent):
+            self.note(describe(event, self._words), event.state != "up")
+        elif isinstance(event, Label):
+            self.note(describe(event, self._words))
+
+    def stop(self, timeout_s: float = 0.0) -> None:
+        """Restore the terminal, if it is still there."""
+        with suppress(OSError):
+            self._live.stop()
+
+    def __enter__(self) -> "View":
+        # Ctrl-Z would leave the shell on this screen, without a cursor, and the daemon silent behind it.
+        self._on_ctrl_z = signal.signal(signal.SIGTSTP, signal.SIG_IGN)
+        self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+        signal.signal(signal.SIGTSTP, self._on_ctrl_z)
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Segment]:
+        """Yield the picture at the size of the terminal."""
+        width, height = console.size
+        with self._lock:
+            # In a smaller terminal, the picture is cut off.
+            lines = self._draw(max(width, LEAST_COLUMNS), max(height, LEAST_ROWS))
+        for row, line in enumerate(self._fit(lines, width, height)):
+            if row:
+                yield Segment.line()
+            yield from line
+
+    def _draw(self, width: int, height: int) -> list[DrawnLine]:
+        keys = self._keys_lines(width) if height >= LOWEST else []
+        notes = self._note_lines(width - 2, max(1, min(height // 8, NOTE_ROWS)))
+        body = height - 2 - len(keys) - len(notes)
+        card_height = len(self._card) + 1 if self._card and body - len(self._card) >= HIGH - 16 else 0
+        scale = min((width * 9 // 20) // COLUMNS, (body - 1 - card_height) // 4, LARGEST_SCALE)
+        with_pad = width >= NARROWEST and height >= LOWEST and scale >= 2
+        margin = Segment(" ", self._palette.paper)
+        left: list[DrawnLine] = [[margin]] * body
+        right_width = width - 2
+        if with_pad:
+            pad_width = COLUMNS * scale
+            right_width -= pad_width + GAP
+            pad = self._fit(self._left(scale, pad_width, body), pad_width, body)
+            left = [[margin, *line, *[margin] * GAP] for line in pad]
+        right = self._fit(self._right(right_width, body), right_width, body)
+        lines = [[*one, *other] for one, other in zip(left, right, strict=True)]
+        return [self._header(width), *lines, *keys, self._robot_line(), *notes]
+
+    def _fit(self, lines: list[DrawnLine], width: int, height: int) -> list[DrawnLine]:
+        """Return lines cropped or padded to a width and a height."""
+        return Segment.set_shape(lines[:height], width, height, self._palette.paper)
+
+    def _going_on(self) -> ShownTouch | None:
+        touch = self._touches[-1] if self._touches else None
+        return touch if touch is not None and touch.ended is None else None
+
+    def _header(self, width: int) -> DrawnLine:
+        palette = self._palette
+        vitals: DrawnLine = []
+        for name, state in self._states.items():
+            style = {"up": palette.accent, "awaited": palette.muted}.get(state, palette.bad)
+            vitals += [
+                Segment(f"  {'●' if state == 'up' else '○'} ", style),
+                Segment(f"{name} {state}", palette.muted),
+            ]
+        taken = sum(segment.cell_length for segment in vitals) + 1
+        title: DrawnLine = [
+            Segment(" touchd", palette.ink + Style(bold=True)),
+            Segment(f"  {self._title}", palette.muted),
+        ]
+        return [*Segment.adjust_line_length(title, max(width - taken, 0), palette.paper), *vitals]
+
+    def _left(self, scale: int, width: int, height: int) -> list[DrawnLine]:
+        palette = self._palette
+        lines = pad_picture(level_of(self._pressure), scale, palette)
+        if len(lines) < height:
+            lines.append(self._scale_line(width))
+        if self._card and height - len(lines) > len(self._card):
+            lines += [[], *([Segment(line, Style.parse("#ffffff on #000000"))] for line in self._card)]
+        if height - len(lines) >= 2:
+            lines.append([Segment("Last touches", palette.muted)])
+            ended = [touch for touch in reversed(self._touches) if touch.ended is not None]
+            for touch in ended[: height - len(lines)]:
+                lines.append(self._last_touch(touch))
+        return lines
+
+    def _scale_line(self, width: int) -> DrawnLine:
+        palette = self._palette
+        light, firm = "light", "firm"
+        room = width - len(f"{light}  {firm}")
+        if not palette.heat or room < len(palette.heat) // 8:
+            return [Segment(light, palette.muted), Segment(" " * (room + 2)), Segment(firm, palette.muted)]
+        shades = [palette.heat[at * len(palette.heat) // room] for at in range(room)]
+        ramp = [Segment("▄", palette.paper + Style(color=shade)) for shade in shades]
+        return [Segment(f"{light} ", palette.muted), *ramp, Segment(f" {firm}", palette.muted)]
+
+    def _last_touch(self, touch: ShownTouch) -> DrawnLine:
+        palette = self._palette
+        changes = list(dict.fromkeys(said.gesture for said in touch.predictions))
+        name = self._name(touch.ended.gesture) if touch.ended else ""
+        line = [
+            Segment(f"{name} ", palette.ink + Style(bold=True)),
+            Segment(f"{touch.length_s:.1f} s", palette.muted),
+        ]
+        if len(changes) > 1:
+            names = ", ".join(self._name(gesture) for gesture in changes[:-1])
+            line.append(Segment(f" ↻ {names} before", palette.changed))
+        if touch.label:
+            line.append(Segment(f" = {self._name(touch.label)}", palette.ink))
+        return line
+
+    def _right(self, width: int, height: int) -> list[DrawnLine]:
+        palette = self._palette
+        touch = self._touches[-1] if self._touches else None
+        is_touched = self._going_on() is not None
+        is_high = height >= HIGH
+        room_for_bars = min(max(len(self._labels), FEWEST_BARS), max(height - 12, 3))
+        lines: list[DrawnLine] = [[Segment(self._which(touch), palette.muted)]]
+        word, style = self._answer(touch)
+        letters = big(word, width, is_high) if height >= LOW else [word]
+        lines += [[Segment(line, style + Style(bold=True))] for line in letters]
+        lines += self._remarks(touch)
+        if is_high:
+            lines.append([])
+        flags = [self._flag(touch, at) for at in range(len(touch.predictions))] if touch else []
+        trace = list(touch.trace) if touch else []
+        after = (2 * room_for_bars + 2) if is_high else room_for_bars
+        line_height = height - len(lines) - after
+        if line_height >= 3:
+            lines += time_line(trace, self._marks_s, flags, (width, line_height), palette)
+        if is_high:
+            lines += [[], [Segment("Probabilities", palette.muted)]]
+        answer = touch.predictions[-1] if touch and touch.predictions and is_touched else None
+        shown = (self._now or answer) if is_touched else None
+        for bar in bars(
+            self._labels,
+            shown.probabilities if shown else {},
+            answer.gesture if answer else "",
+            (width, room_for_bars),
+            palette,
+        ):
+            lines += [bar, []] if is_high else [bar]
+        return lines
+
+    def _which(self, touch: ShownTouch | None) -> str:
+        if touch is None:
+            return "No touch yet"
+        which = "Touch" if touch.ended is None else "Last touch:"
+        return f"{which} {touch.began.touch} · {touch.length_s:.1f} s"
+
+    def _answer(self, touch: ShownTouch | None) -> tuple[str, Style]:
+        palette = self._palette
+        if touch is None or (touch.ended is not None and not touch.predictions):
+            return "no pad" if self._states["pad"] == "down" else "touch me", palette.faint
+        if not touch.predictions:
+            return "...", palette.faint
+        word = self._name(touch.predictions[-1].gesture)
+        if touch.ended is not None:
+            return word, palette.muted
+        return word, palette.changed if self._before(touch, len(touch.predictions) - 1) else palette.accent
+
+    def _remarks(self, touch: ShownTouch | None) -> list[DrawnLine]:
+        palette = self._palette
+        if touch is None or not touch.predictions:
+            return [[], []]
+        answer = touch.predictions[-1]
+        after = f"after {answer.elapsed_s:.3g} s"
+        sure = [Segment(f"{answer.confidence:.0%}", palette.ink + Style(bold=True))]
+        sure.append(Segment(f" sure, {after}", palette.ink))
+        if answer.gesture == UNCERTAIN:
+            # The confidence is the likeliest gesture's.
+            sure = [Segment(after, palette.ink)]
+        remark: DrawnLine = []
+        if before := self._before(touch, len(touch.predictions) - 1):
+            remark.append(Segment(f"↻ was {before} · ", palette.changed))
+        told = [said for said in touch.predictions if said.told and said.gesture == answer.gesture]
+        status = f"told after {told[0].elapsed_s:.3g} s" if told else "not sure enough to tell"
+        remark.append(Segment(status, palette.muted))
+        likeliest = max(answer.probabilities, key=lambda label: answer.probabilities[label])
+        if likeliest != answer.gesture and answer.gesture in answer.probabilities:
+            remark.append(Segment(f" · {self._name(likeliest)} is likelier now", palette.muted))
+        return [sure, remark]
+
+    def _flag(self, touch: ShownTouch, at: int) -> Flag:
+        said = touch.predictions[at]
+        before = self._before(touch, at)
+        told = " ✓" if said.told else ""
+        sure = "" if said.gesture == UNCERTAIN else f" {said.confidence:.0%}"
+        text = f"{'↻ ' if before else ''}{self._name(said.gesture)}{sure}{told}"
+        return Flag(said.elapsed_s, text, bool(before))
+
+    def _before(self, touch: ShownTouch, at: int) -> str:
+        """Return the name of the answer that this one replaced, or ""."""
+        said = touch.predictions[at]
+        earlier = [one.gesture for one in touch.predictions[:at] if one.gesture != said.gesture]
+        return self._name(earlier[-1]) if said.changed and earlier else ""
+
+    def _robot_line(self) -> DrawnLine:
+        palette = self._palette
+        if not self._said_by_robot:
+            return []
+        return [
+            Segment(" Robot ", palette.muted),
+            Segment(self._said_by_robot, palette.robot + Style(bold=True)),
+        ]
+
+    def _keys_lines(self, width: int) -> list[DrawnLine]:
+        """Return which key says what the touch on the screen was; blank lines while there is no touch."""
+        palette = self._palette
+        if self.labeller is None:
+            return []
+        touch = self._touches[-1] if self._touches else None
+        lines: list[DrawnLine] = [[Segment(" It was: ", palette.muted)]]
+        for key, gesture in keys_of(self.labeller.gestures[self._shown_pad]).items():
+            style = palette.accent if touch and gesture == touch.label else palette.ink
+            entry = [Segment(key, style + Style(bold=True)), Segment(f" {self._name(gesture)} ", style)]
+            # A line ends with a blank that may be cut off.
+            if Segment.get_line_length([*lines[-1], *entry]) > width + 1:
+                lines.append([Segment(" ", palette.muted)])
+            lines[-1] += [*entry, Segment(" ", style)]
+        return lines if touch else [[] for _ in lines]
+
+    def _note_lines(self, width: int, most: int) -> list[DrawnLine]:
+        """Return what is going on and the latest note, wrapped to `width` and cut after `most` rows."""
+        doing = f" {self._doing} " if self._doing else ""
+        text, is_bad = self._notes[-1] if self._notes else ("", False)
+        wrap = textwrap.TextWrapper(width, max_lines=most, placeholder=" …", break_on_hyphens=False)
+        rows = wrap.wrap(" " * len(doing) + text) or [""]
+        rows[0] = rows[0][len(doing) :]
+        style = self._palette.bad if is_bad else self._palette.faint
+        lines: list[DrawnLine] = [[Segment(f" {row}", style)] for row in rows]
+        lines[0].insert(0, Segment(doing, self._palette.ink))
+        return lines
+
+    def _name_labels(self, labels: Iterable[str]) -> None:
+        self._labels = {label: name_of(self._words, label) for label in labels}
+
+    def _name(self, gesture: str) -> str:
+        return name_of(self._words, gesture)
+
+
+class ViewLog(logging.Handler):
+    """Shows in a view the log records that the gate lets through."""
+
+    def __init__(self, view: View) -> None:
+        super().__init__()
+        self.addFilter(LogGate())
+        self._view = view
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._view.log(record)
