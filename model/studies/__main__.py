@@ -30,6 +30,7 @@ STUDIES = {
         "studies.sessions.passing",
         "sessions.md: touches of a second or less, and hands that change",
     ),
+    "tables": ("studies.tables", "every figure of detection and of what is said in use, in one file"),
     "constants": (
         "studies.sessions.constants",
         "sessions.md: what each constant of detection does",
