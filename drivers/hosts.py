@@ -1,0 +1,153 @@
+"""Connects to hosts by name: for the robot, MQTT, rosbridge and pads on the network.
+
+A name is looked up outside the time limit of the connection, and its addresses are kept while they work:
+nao.local may take seconds to resolve, if nobody answers the question for its IPv6 address.
+"""
+
+import errno
+import logging
+import os
+import select
+import socket
+import threading
+import time
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
+from typing import Any, TypeAlias
+
+log = logging.getLogger(__name__)
+
+# For the caller; the lookup itself goes on, and the next attempt waits for it again.
+LOOKUP_S = 20.0
+SLOW_S = 1.0
+# Time for one address to answer before the next is tried beside it (RFC 8305).
+HEAD_START_S = 0.25
+# Poll interval for the stop event.
+SLICE_S = 0.05
+# A name server may return any number of addresses.
+MOST_ADDRESSES = 8
+MOST_NAMES = 64
+
+Address: TypeAlias = tuple[socket.AddressFamily, Any]
+
+
+def connect(host: str, port: int, limit_s: float, stopping: threading.Event | None = None) -> socket.socket:
+    """Return a connection to a host, with `limit_s` as its timeout; raises OSError.
+
+    limit_s: for the connection alone, without the lookup of the name. stopping: ends every wait.
+    """
+    name = _name(host)
+    try:
+        return dial(name.addresses(port, stopping or threading.Event()), limit_s, stopping)
+    except OSError:
+        name.look_up()
+        raise
+
+
+def dial(
+    addresses: Iterable[Address], limit_s: float, stopping: threading.Event | None = None
+) -> socket.socket:
+    """Return a connection to the address that answers first; raises OSError.
+
+    Each address is tried a moment after the one before, or once that has failed.
+    """
+    waiting, trying = list(addresses), dict[int, socket.socket]()
+    next_s, until_s = 0.0, time.monotonic() + limit_s
+    failed: OSError = TimeoutError(f"no answer within {limit_s:g} s")
+    poller = select.poll()
+    try:
+        while (waiting or trying) and (now_s := time.monotonic()) < until_s:
+            if stopping is not None and stopping.is_set():
+                raise TimeoutError("touchd is stopping")
+            if waiting and (not trying or now_s >= next_s):
+                next_s = now_s + HEAD_START_S
+                try:
+                    started = _start(*waiting.pop(0))
+                except OSError as error:
+                    failed = error
+                    continue
+                trying[started.fileno()] = started
+                poller.register(started, select.POLLOUT)
+            for fd, _ in poller.poll(1000 * SLICE_S):
+                poller.unregister(fd)
+                tried = trying.pop(fd)
+                code = tried.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+                if code == 0:
+                    tried.settimeout(limit_s)
+                    return tried
+                tried.close()
+                failed = OSError(code, os.strerror(code))
+        raise failed
+    finally:
+        for tried in trying.values():
+            tried.close()
+
+
+def _start(family: socket.AddressFamily, where: Any) -> socket.socket:
+    started = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        started.setblocking(False)
+        started.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        if (code := started.connect_ex(where)) not in (0, errno.EINPROGRESS):
+            raise OSError(code, os.strerror(code))
+    except OSError:
+        started.close()
+        raise
+    return started
+
+
+@lru_cache(MOST_NAMES)
+def _name(host: str) -> "Name":
+    return Name(host)
+
+
+class Name:
+    """A host's name and its last known addresses."""
+
+    def __init__(self, host: str) -> None:
+        self._host = host
+        self._lock = threading.Lock()
+        self._found: Sequence[Address] = ()
+        self._failed: Exception | None = None
+        self._lookup: threading.Thread | None = None
+        self._is_slow = False
+
+    def addresses(self, port: int, stopping: threading.Event) -> Sequence[Address]:
+        """Return the addresses, looked up if none is known; raises OSError."""
+        if not self._found:
+            lookup = self.look_up()
+            until_s = time.monotonic() + LOOKUP_S
+            while lookup.is_alive() and time.monotonic() < until_s and not stopping.is_set():
+                lookup.join(SLICE_S)
+        found, failed = self._found, self._failed
+        if not found:
+            why = getattr(failed, "strerror", None) or failed or f"no address within {LOOKUP_S:g} s"
+            code = failed.errno if isinstance(failed, socket.gaierror) else socket.EAI_AGAIN
+            raise socket.gaierror(code, f"{self._host} cannot be resolved: {why}")
+        return [(family, (where[0], port, *where[2:])) for family, where in found]
+
+    def look_up(self) -> threading.Thread:
+        """Start to look the name up, if this is not going on; until it ends, the known addresses are used."""
+        with self._lock:
+            if self._lookup is None or not self._lookup.is_alive():
+                self._lookup = threading.Thread(target=self._look_up, name="touchd-lookup", daemon=True)
+                self._lookup.start()
+            return self._lookup
+
+    def _look_up(self) -> None:
+        started_s = time.monotonic()
+        try:
+            answers = socket.getaddrinfo(self._host, None, type=socket.SOCK_STREAM)
+        except (OSError, UnicodeError) as error:
+            self._failed, self._found = error, ()
+            return
+        found = dict.fromkeys((family, where) for family, _, _, _, where in answers)
+        self._found = list(found)[:MOST_ADDRESSES]
+        took_s = time.monotonic() - started_s
+        if took_s > SLOW_S and not self._is_slow:
+            self._is_slow = True
+            number = min(self._found, key=lambda each: each[0])[1][0]
+            advice = f"give its number instead, {number}"
+            if self._host.endswith(".local"):
+                advice += ", or put mdns4_minimal in the place of mdns_minimal in /etc/nsswitch.conf"
+            log.warning("%s takes %.1f s to resolve: %s", self._host, took_s, advice)
