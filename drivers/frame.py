@@ -19,6 +19,8 @@ DEFAULT_PAD = "pad"
 """The name of the only pad, if the configuration gives it none."""
 NO_TOUCH = "notouch"
 """The label of frames in which nothing touches the pad."""
+OTHER = "other"
+"""The label of a touch that is none of the gestures that the network knows."""
 
 Counts = NDArray[np.uint16]
 PadState: TypeAlias = Literal["up", "degraded", "down"]
