@@ -4,13 +4,13 @@ from collections.abc import Iterable
 
 from touchd.daemon.app.config import ConfigError, SceneSettings
 from touchd.daemon.path.events import UNCERTAIN
-from touchd.drivers.frame import NO_TOUCH
+from touchd.drivers.frame import NO_TOUCH, OTHER
 from touchd.model.classifier import Classifier
 
 
 def check_words(words: Iterable[str], models: Iterable[Classifier]) -> None:
     """Raise ConfigError when there are words for a gesture that no pad's model knows."""
-    known = {UNCERTAIN}.union(*(model.labels for model in models))
+    known = {OTHER, UNCERTAIN}.union(*(model.labels for model in models))
     if unknown := sorted(set(words) - known):
         raise ConfigError(f"words.{unknown[0]}: unknown gesture; known: {', '.join(sorted(known))}")
 
@@ -18,7 +18,7 @@ def check_words(words: Iterable[str], models: Iterable[Classifier]) -> None:
 def check_scene(scene: SceneSettings, classifier: Classifier) -> None:
     """Raise ConfigError when a scene asks for gestures or lengths that the model or the scene rules out."""
     known = set(classifier.labels) - {NO_TOUCH}
-    acted_on = {gesture for rule in scene.actions for gesture in rule.gestures} - {UNCERTAIN}
+    acted_on = {gesture for rule in scene.actions for gesture in rule.gestures} - {OTHER, UNCERTAIN}
     for name, gestures in (("scene.gestures", set(scene.gestures)), ("scene.actions", acted_on)):
         if unknown := sorted(gestures - known):
             raise ConfigError(

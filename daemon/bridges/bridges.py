@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from touchd.daemon.app.config import Settings
 from touchd.daemon.bridges.bridge import Bridge, BridgeError, bridge_class
 from touchd.daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings, Section
-from touchd.drivers.frame import NO_TOUCH
+from touchd.daemon.path.decide import told_in
 from touchd.drivers.installed import EXTRAS, how_to_install
 from touchd.model.classifier import Classifier
 
@@ -27,10 +27,7 @@ def make_bridges(
     models: of each pad. state: the state folder. config: the file of the settings; without one nothing is
     remembered. Raises BridgeError when a bridge cannot be used as configured.
     """
-    gestures = {
-        name: pad.scene.gestures or tuple(label for label in models[name].labels if label != NO_TOUCH)
-        for name, pad in settings.pads.items()
-    }
+    gestures = {name: told_in(pad.scene.gestures, models[name].labels) for name, pad in settings.pads.items()}
     retained = _retained(settings.mqtt, gestures, state, config) if config is not None else None
     bridges: list[Bridge] = []
     for name, section in settings.bridges.items():

@@ -18,7 +18,7 @@ from rich.console import Console
 
 from touchd.daemon.app.config import LiveSettings, SceneSettings, Settings
 from touchd.daemon.live.address import EVERY_ADDRESS, listen, parse_address, qr_code, urls_of
-from touchd.daemon.path.events import Event, Prediction, TouchEnded
+from touchd.daemon.path.events import UNCERTAIN, Event, Prediction, TouchEnded
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
 from touchd.daemon.playback.stream import DEMO_RECORDING
 from touchd.daemon.robot.actions import Action, ActionRule, Leds
@@ -31,7 +31,7 @@ from touchd.drivers.fakes.hand import DEMO_SEED, SimulatedHand, demo_gestures
 from touchd.drivers.fakes.loopback_robot import LoopbackRobot
 from touchd.drivers.fakes.services import Call
 from touchd.drivers.fakes.stub_robot import StubRobot
-from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH, Counts
+from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH, OTHER, Counts
 from touchd.drivers.installed import program_name, qi_installed
 from touchd.drivers.recording import Stream, read_recordings, splice
 from touchd.drivers.robot.session import RobotSettings
@@ -52,7 +52,7 @@ KEPT = 1000
 ACTIONS = (
     ActionRule(do=(Action(leds=Leds(color="green")), Action(say="That feels like {phrase}."))),
     ActionRule(do=(Action(animated_say="Oh, it is {phrase}!"),), changed=True),
-    ActionRule(do=(Action(say="What was that?"),), gestures=("uncertain",)),
+    ActionRule(do=(Action(say="What was that?"),), gestures=(OTHER, UNCERTAIN)),
 )
 NEXT = """
 What to try next:

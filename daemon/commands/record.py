@@ -8,7 +8,7 @@ from rich.console import Console
 
 from touchd.daemon.commands.one_pad import add_settings, settings_of
 from touchd.daemon.record.capture import PadReader
-from touchd.daemon.record.dialogue import HOW, Dialogue, Terms
+from touchd.daemon.record.dialogue import GESTURES, HOW, Dialogue, Terms
 from touchd.daemon.record.label import label, label_of
 from touchd.daemon.record.session import Session
 from touchd.daemon.record.who import ask_setting, name
@@ -36,7 +36,11 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--substrate", type=name, metavar="NAME", help="what is under the pad, as in foam")
     parser.add_argument("--cover", type=name, metavar="NAME", help="what is over the pad, as in fur")
     parser.add_argument(
-        "--gestures", type=_names, default=",".join(HOW), metavar="A,B,...", help="which (%(default)s)"
+        "--gestures",
+        type=_names,
+        default=",".join(GESTURES),
+        metavar="A,B,...",
+        help="which, your own too; other: touches that are none of them (%(default)s)",
     )
     parser.add_argument(
         "--rounds", type=within(int, 1, MOST_ROUNDS), default=1, help="of each gesture (%(default)s)"

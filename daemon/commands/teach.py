@@ -17,7 +17,7 @@ from touchd.daemon.commands.one_pad import add_settings, only_pad, settings_of
 from touchd.daemon.commands.record import INCOMPLETE, LONGEST_S, SHORTEST_S
 from touchd.daemon.commands.settings import SERVICE_FOLDER
 from touchd.daemon.record.capture import PadReader
-from touchd.daemon.record.dialogue import HOW, HOW_ONCE, Dialogue, Terms
+from touchd.daemon.record.dialogue import GESTURES, HOW, HOW_ONCE, Dialogue, Terms
 from touchd.daemon.record.session import Session
 from touchd.daemon.record.who import Setting, ask_name, name
 from touchd.daemon.robot.words import name_of, words_of
@@ -55,6 +55,9 @@ def parser() -> argparse.ArgumentParser:
         type=within(float, SHORTEST_S, LONGEST_S),
         default=SECONDS,
         help="of each recording (%(default)g)",
+    )
+    parser.add_argument(
+        "--other", action="store_true", help="also record touches that are none of the gestures, as other"
     )
     return parser
 
@@ -128,7 +131,8 @@ def _section(node: yaml.Node | None, name: str | None) -> yaml.MappingNode | Non
 def _record(console: Console, options: argparse.Namespace, settings: Settings) -> None:
     """Make the missing recordings; raises Stopped."""
     participant = options.participant or ask_name(console, "Who touches the pad?")
-    session = Session(options.folder, Setting(participant), tuple(HOW), options.rounds, SINGLES)
+    gestures = tuple(HOW) if options.other else GESTURES
+    session = Session(options.folder, Setting(participant), gestures, options.rounds, SINGLES)
     if not session.missing():
         console.print(
             f"{options.folder} has all recordings of {participant}; another person needs another name"

@@ -1,6 +1,7 @@
 """Decides which answer to a touch is reported, and when it is revised."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal, TypeAlias
 
@@ -9,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.daemon.path.events import UNCERTAIN, Stage
-from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH
+from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH, OTHER
 
 Probability = Annotated[float, msgspec.Meta(ge=0, le=1)]
 FrameCount = Annotated[int, msgspec.Meta(ge=1, le=432)]
@@ -35,6 +36,12 @@ RELEASED_ABOVE = 0.4
 ENDED_NOTOUCH = 0.15
 
 
+def told_in(gestures: Sequence[str], labels: Sequence[str]) -> tuple[str, ...]:
+    """Return the labels that a scene's answers may name, in the labels' order; no gestures mean all."""
+    named = {*(gestures or labels), OTHER} - {NO_TOUCH}
+    return tuple(label for label in labels if label in named)
+
+
 def sure_above(confidence: float, frames: int) -> float:
     """Return the confidence from which an answer is sure after `frames`. confidence: the same after 54."""
     return confidence + SURE_FALLS * math.log(FRAME_RATE_HZ / frames)
@@ -43,7 +50,7 @@ def sure_above(confidence: float, frames: int) -> float:
 class DecisionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One scene: which gestures can occur, when to answer, and how sure to be; see touchd.example.yaml.
 
-    The defaults were measured: docs/decision.md. "notouch" can always occur; do not list it. final_above and
+    The defaults were measured: docs/decision.md. "notouch" and "other" can always occur. final_above and
     released_above: None is 0 and RELEASED_ABOVE, and more on a pad of another kind (`Settings.pipeline`).
     """
 
@@ -89,7 +96,7 @@ class Decision:
     def __init__(self, settings: DecisionSettings, labels: tuple[str, ...]) -> None:
         self._settings = settings
         self._labels = labels
-        occurs = {*(settings.gestures or labels), NO_TOUCH}
+        occurs = {*told_in(settings.gestures, labels), NO_TOUCH}
         self._occurs = [label in occurs for label in labels]
         self._ended = np.where([label == NO_TOUCH for label in labels], ENDED_NOTOUCH, 1.0)
         self.may_be_early = settings.early == "when_sure"

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from touchd.daemon.path.events import UNCERTAIN, Prediction
 from touchd.drivers.errors import TouchdError, os_errors_as
-from touchd.drivers.frame import NO_TOUCH
+from touchd.drivers.frame import NO_TOUCH, OTHER
 
 WIDTH_INCHES = 12.0
 DOTS_PER_INCH = 130
@@ -27,6 +27,7 @@ COLOURS: Mapping[str, str] = {
     "scratch": "#d55e00",
     "stroke": "#cc79a7",
     "tickle": "#56b4e9",
+    OTHER: "#000000",
     NO_TOUCH: "#9a9a9a",
     UNCERTAIN: "#9a9a9a",
 }

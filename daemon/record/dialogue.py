@@ -35,7 +35,7 @@ from touchd.daemon.view.big_words import big
 from touchd.daemon.view.keys import listening
 from touchd.daemon.view.pad_picture import as_text, level_of, pad_picture
 from touchd.daemon.view.palette import palette_for
-from touchd.drivers.frame import COLUMNS, NO_TOUCH, ROWS, Counts, Frame
+from touchd.drivers.frame import COLUMNS, NO_TOUCH, OTHER, ROWS, Counts, Frame
 from touchd.drivers.pad.pace import pace_of
 from touchd.drivers.recording import RecordingError, write_recordings
 
@@ -52,8 +52,11 @@ HOW = {
     "scratch": "scratch the pad with the fingertips, again and again",
     "stroke": "stroke the pad with a flat hand one way, lift, and again",
     "tickle": "tickle the pad with light, quick fingers",
+    OTHER: "touch the pad in every other way: poke, pinch, squeeze, twist, drum, knock",
 }
 
+# What a session records unless it is asked for OTHER, too.
+GESTURES = tuple(gesture for gesture in HOW if gesture != OTHER)
 HOW_ONCE = {"pat": "pat the pad once with a flat hand", "stroke": "stroke the pad once, one way"}
 
 HANDS_OFF = "hands off"

@@ -74,7 +74,7 @@ class Action(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 class ActionRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """When the robot carries out which actions, in order.
 
-    gestures: empty means any gesture, but "uncertain" must be named.
+    gestures: empty means any gesture, but "other" and "uncertain" must be named.
     stages: whether the answer is told at that stage or was told before. Empty means any stage at which the
     answer is news: the first of its touch, or another than the last. Either way, a rule fires once per answer
     and touch: with [final, released], once on the settled answer.

@@ -21,6 +21,7 @@ from touchd.daemon.path.events import (
 from touchd.daemon.robot.actions import Action, ActionRule
 from touchd.daemon.robot.words import Vocabulary, words_of
 from touchd.drivers.errors import one_line
+from touchd.drivers.frame import OTHER
 from touchd.drivers.robot.acting import Act, animated_say, run_behavior, say, set_leds
 
 # Touches that are remembered: more than can go on at once.
@@ -129,7 +130,7 @@ class Choice:
 
 
 def _fits(rule: ActionRule, answer: Prediction, is_news: bool) -> bool:
-    is_named = answer.gesture in rule.gestures if rule.gestures else answer.gesture != UNCERTAIN
+    is_named = answer.gesture in rule.gestures if rule.gestures else answer.gesture not in (OTHER, UNCERTAIN)
     # A touch without measures is neither high nor low in any.
     measured = msgspec.structs.asdict(answer.feel) if answer.feel else {}
     is_like = all(measured.get(measure, -math.inf) >= least for measure, least in rule.above.items())

@@ -5,7 +5,7 @@ from typing import TypeAlias
 
 from touchd.daemon.app.config import Language, Settings, Words
 from touchd.daemon.path.events import UNCERTAIN
-from touchd.drivers.frame import NO_TOUCH
+from touchd.drivers.frame import NO_TOUCH, OTHER
 
 Vocabulary: TypeAlias = Mapping[str, Words]
 
@@ -19,7 +19,8 @@ SHIPPED: Mapping[Language, Mapping[str, tuple[str, str]]] = {
         "stroke": ("stroke", "a stroke"),
         "tickle": ("tickle", "tickling"),
         NO_TOUCH: ("no touch", "nothing"),
-        UNCERTAIN: ("not sure", "something I do not know"),
+        OTHER: ("something else", "something else"),
+        UNCERTAIN: ("not sure", "something I am not sure of"),
     },
     "de": {
         "constant": ("ruhende Hand", "eine ruhende Hand"),
@@ -29,7 +30,8 @@ SHIPPED: Mapping[Language, Mapping[str, tuple[str, str]]] = {
         "stroke": ("Streicheln", "Streicheln"),
         "tickle": ("Kitzeln", "Kitzeln"),
         NO_TOUCH: ("keine Berührung", "nichts"),
-        UNCERTAIN: ("unklar", "etwas, das ich nicht kenne"),
+        OTHER: ("etwas anderes", "etwas anderes"),
+        UNCERTAIN: ("unklar", "etwas Unklares"),
     },
 }
 

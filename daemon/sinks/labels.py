@@ -9,7 +9,7 @@ from touchd.daemon.app.config import Settings
 from touchd.daemon.path.events import Event, Label, timestamp
 from touchd.daemon.sinks.touch_store import folder_of, kept_touches
 from touchd.drivers.errors import TouchdError
-from touchd.drivers.frame import NO_TOUCH
+from touchd.drivers.frame import NO_TOUCH, OTHER
 from touchd.drivers.installed import program_name
 from touchd.model.classifier import Classifier
 
@@ -82,7 +82,9 @@ def make_labeller(
 
 def keys_of(gestures: Sequence[str]) -> dict[str, str]:
     """Return the gesture of each key."""
-    named = dict(zip(KEYS, (gesture for gesture in gestures if gesture != NO_TOUCH), strict=False))
+    # "other" comes last, so that the gestures' keys do not depend on it.
+    ordered = sorted((gesture for gesture in gestures if gesture != NO_TOUCH), key=OTHER.__eq__)
+    named = dict(zip(KEYS, ordered, strict=False))
     return named | ({NO_TOUCH_KEY: NO_TOUCH} if NO_TOUCH in gestures else {})
 
 

@@ -26,6 +26,7 @@ from touchd.daemon.app.fit import check_scene
 from touchd.daemon.commands import demo
 from touchd.daemon.path.events import RobotAction, TouchBegan, TouchEnded
 from touchd.daemon.playback.stream import with_quiet
+from touchd.daemon.robot.actions import Action, ActionRule
 from touchd.daemon.robot.words import vocabulary
 from touchd.daemon.sinks.touches import decode
 from touchd.daemon.view.describe import describe
@@ -262,6 +263,14 @@ def test_an_unusable_setting_is_refused_in_one_line(
 
 def test_the_default_scene_fits_the_shipped_model() -> None:
     check_scene(SceneSettings(), Classifier.load())
+
+
+def test_a_scene_that_acts_on_other_fits_a_model_without_it() -> None:
+    rule = ActionRule(do=(Action(say="Ouch"),), gestures=("other",))
+    classifier = Classifier.load()
+    labels = tuple(label for label in classifier.labels if label != "other")
+    own = replace(classifier, metadata=msgspec.structs.replace(classifier.metadata, labels=labels))
+    check_scene(SceneSettings(gestures=("pat",), actions=(rule,)), own)
 
 
 def test_marks_beyond_the_models_longest_window_are_refused() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from touchd.daemon.path.decide import ENDED_NOTOUCH, SURE, Decision, DecisionSettings, Sure
+from touchd.daemon.path.decide import ENDED_NOTOUCH, SURE, Decision, DecisionSettings, Sure, told_in
 from touchd.daemon.path.events import Stage
 
 LABELS = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
@@ -178,6 +178,27 @@ def test_a_scene_shares_probability_among_its_gestures() -> None:
     assert answer.probabilities == pytest.approx(
         {"constant": 0, "notouch": 0.2, "pat": 0.2, "rub": 0, "scratch": 0, "stroke": 0.6, "tickle": 0}
     )
+
+
+def test_a_touch_that_is_none_of_the_gestures_can_occur_in_every_scene() -> None:
+    decision = Decision(DecisionSettings(gestures=("stroke", "pat")), (*LABELS, "other"))
+    answer = decision.answer("early", np.array([0.1, 0.05, 0.05, 0.1, 0.0, 0.0, 0.0, 0.7]))
+    assert (answer.gesture, answer.told) == ("other", True)
+
+
+@pytest.mark.parametrize(
+    ("gestures", "labels", "named"),
+    [
+        ((), ("hug", "notouch", "pat"), ("hug", "pat")),
+        ((), ("notouch", "other", "pat"), ("other", "pat")),
+        (("pat",), ("hug", "notouch", "other", "pat"), ("other", "pat")),
+        (("pat",), ("hug", "notouch", "pat"), ("pat",)),
+    ],
+)
+def test_a_scenes_answers_name_its_gestures_and_other(
+    gestures: tuple[str, ...], labels: tuple[str, ...], named: tuple[str, ...]
+) -> None:
+    assert told_in(gestures, labels) == named
 
 
 def test_a_scene_the_model_rules_out_is_answered_evenly() -> None:

@@ -19,7 +19,7 @@ from touchd.daemon.commands.run import show_on
 from touchd.daemon.path.events import Event, Label, encode
 from touchd.daemon.path.service import Service
 from touchd.daemon.robot.words import vocabulary
-from touchd.daemon.sinks.labels import LabelError, Labeller
+from touchd.daemon.sinks.labels import LabelError, Labeller, keys_of
 from touchd.daemon.sinks.touch_store import TouchStore, folder_of, kept_touches
 from touchd.daemon.sinks.touches import decode
 from touchd.daemon.view.view import View
@@ -42,6 +42,11 @@ def test_a_label_of_something_unknown_is_refused(pad: str, gesture: str) -> None
     with pytest.raises(LabelError):
         Labeller(events.append, {"left": GESTURES}, {}).label(pad, 7, gesture)
     assert events == []
+
+
+def test_the_gestures_keys_do_not_depend_on_other() -> None:
+    without = keys_of(("constant", "notouch", "pat"))
+    assert keys_of(("constant", "notouch", "other", "pat")) == without | {"3": "other"}
 
 
 def test_each_ten_labelled_touches_say_how_to_learn(tmp_path: Path) -> None:

@@ -419,6 +419,14 @@ def test_a_balanced_scene_waits_longer_than_an_eager_one() -> None:
     assert eager < balanced < 54
 
 
+def test_a_touch_that_is_none_of_the_scenes_gestures_is_told_as_other() -> None:
+    knows = Scripted(lambda asked: "other", (*LABELS, "other"))
+    bench = Bench(knows, decision=DecisionSettings(gestures=("pat", "stroke")))
+    events = bench.feel(palm(1.2), nothing(2.0))
+    assert told(events) == [("early", "other")]
+    assert [event.gesture for event in events if isinstance(event, TouchEnded)] == ["other"]
+
+
 def test_a_lasting_change_of_gesture_is_told() -> None:
     bench = Bench(Scripted(lambda asked: "stroke" if asked <= 1 else "rub"))
     events = bench.feel(palm(8.0, counts=60.0), nothing(2.0))

@@ -10,8 +10,9 @@ import yaml
 from rigs.made_events import PREDICTION
 
 from touchd.daemon.app.config import Language, Words
+from touchd.daemon.path.feel import Feel
 from touchd.daemon.robot import actions
-from touchd.daemon.robot.actions import Action, ActionRule, Leds
+from touchd.daemon.robot.actions import MEASURES, Action, ActionRule, Leds
 from touchd.daemon.robot.reactions import MOST_TOUCHES, Choice, Reactions, spoken
 from touchd.daemon.robot.words import vocabulary
 from touchd.drivers.frame import DEFAULT_PAD
@@ -36,11 +37,12 @@ def test_the_rules_in_the_example_are_valid() -> None:
     rules = re.sub(
         r"^( *)#(?! )", r"\1", example[example.index("  #actions:") :].partition("\n\n")[0], flags=re.M
     )
-    first, second = msgspec.convert(yaml.safe_load(rules)["actions"], Rules)
+    first, second, blow = msgspec.convert(yaml.safe_load(rules)["actions"], Rules)
     assert first.do[0].leds is not None
     assert first.do[0].leds.rgb == 0x00FF00
     assert first.refractory_s == 5
     assert second.changed
+    assert (blow.gestures, blow.above) == (("other",), {"peak": 300})
 
 
 @pytest.mark.parametrize(
@@ -136,6 +138,17 @@ def test_a_rule_with_gestures_applies_to_these_only() -> None:
 def test_a_gesture_of_ones_own_triggers_a_rule_for_all() -> None:
     chosen = Choice(rules("[{do: [{say: any}]}]"))
     assert [done(chosen, own, touch) for touch, own in enumerate(("bump", "wave"))] == [["any"], ["any"]]
+
+
+def test_a_rule_for_a_blow_needs_other_and_its_strength() -> None:
+    chosen = Choice(
+        rules("[{do: [{say: thanks}]}, {do: [{say: Ouch}], gestures: [other], above: {peak: 300}}]")
+    )
+    poked = Feel(**dict.fromkeys(MEASURES, 0.0))
+    struck = msgspec.structs.replace(poked, peak=600.0)
+    assert done(chosen, "other", 1, feel=struck) == ["Ouch"]
+    assert done(chosen, "other", 2, feel=poked) == []
+    assert done(chosen, "pat", 3, feel=struck) == ["thanks"]
 
 
 def test_uncertain_triggers_only_a_rule_that_names_it() -> None:
