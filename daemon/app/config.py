@@ -71,14 +71,9 @@ class SensorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     def __post_init__(self) -> None:
         if isinstance(self.format, str) and self.format not in PRESETS:
             raise ValueError(f"format {self.format!r} is none of {', '.join(PRESETS)}, nor a description")
-        described, is_udp = self.described, self.port.startswith("udp://")
-        if described.poll and is_udp:
-            raise ValueError("a pad that has to be asked for frames cannot be reached at udp://; use tcp://")
-        has_mark = described.first_bytes or described.poll or described.framing != "binary"
-        if not has_mark and not is_udp:
-            raise ValueError(
-                "a binary format needs a header, a footer or a poll; lines of numbers need framing: text"
-            )
+        has_mark = self.described.first_bytes or self.described.framing != "binary"
+        if not has_mark and not self.port.startswith("udp://"):
+            raise ValueError("a binary format needs a header or footer; lines of numbers need framing: text")
 
     @property
     def described(self) -> PadFormat:

@@ -32,7 +32,6 @@ from touchd.daemon.doctor.hand import (
     turned_with_a_hand,
 )
 from touchd.daemon.doctor.line import group_of_the_next_login
-from touchd.daemon.doctor.listening import listen as listen_to_frames
 from touchd.daemon.doctor.machine import check_robot, find_robot, robot_urls
 from touchd.drivers.errors import os_errors_as
 from touchd.drivers.installed import program_name
@@ -41,13 +40,10 @@ from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.pad.format_yaml import as_yaml
 from touchd.drivers.pad.names import LastingName, lasting_name, why_no_port
 from touchd.drivers.pad.port import Line, SensorError, at_baud, open_port
-from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.robot.session import RobotError
 from touchd.drivers.search.listen import USUAL_BAUDS, Chunk, likeliest_baud
 from touchd.drivers.search.search import Grid
 from touchd.drivers.whole_file import whole_file
-
-ANSWER_S = 0.5
 
 
 class Found(NamedTuple):
@@ -168,11 +164,9 @@ def _ports() -> list[str]:
 def _find(console: Console, ports: Sequence[str], bauds: Sequence[int], grid: Grid | None) -> Found | None:
     """Return the first port with a pad, else the first that sends anything; None if none does.
 
-    Silent ports are polled only if no port sends by itself. Raises SensorError if none sends and one is
-    forbidden or busy: the pad may be there.
+    Raises SensorError if none sends and one is forbidden or busy: the pad may be there.
     """
     unknown: Found | None = None
-    silent: list[str] = []
     closed: list[SensorError] = []
     for port in ports:
         try:
@@ -183,12 +177,9 @@ def _find(console: Console, ports: Sequence[str], bauds: Sequence[int], grid: Gr
             else:
                 console.print(str(error), style="yellow")
             continue
-        if found is None:
-            silent.append(port)
-        elif found.described is not None:
+        if found is not None and found.described is not None:
             return found
         unknown = unknown or found
-    unknown = unknown or next(filter(None, (_poll(port, bauds[0]) for port in silent)), None)
     if unknown is None and closed:
         if closed[0].kind == "denied" and (advice := group_of_the_next_login()):
             raise SensorError("denied", f"{closed[0]}; {advice}")
@@ -234,19 +225,6 @@ def _describe(
             return turned
         console.print("once more: are the rows and columns right?", style="yellow")
         grid = None
-
-
-def _poll(port: str, baud: int) -> Found | None:
-    """Return the pad at a port that answers a preset's query, if any."""
-    try:
-        with open_port(port, baud) as opened:
-            for described in (preset for preset in PRESETS.values() if preset.poll):
-                sample = listen_to_frames(opened, parser_of(described), ANSWER_S, start_s=ANSWER_S)
-                if len(sample.frames) > 1 and not sample.damaged:
-                    return Found(port, baud, described)
-    except (SensorError, OSError):
-        pass
-    return None
 
 
 def _find_robot(console: Console, typed: str) -> str | None:

@@ -27,7 +27,7 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--speed", type=_speed, default=1.0, metavar="1|N|max", help="1 is the pad's own")
     parser.add_argument(
         "--format",
-        choices=[name for name, preset in PRESETS.items() if not preset.poll],
+        choices=list(PRESETS),
         help="instead of the configured one",
     )
     add_settings(parser, "configuration file of the pad to play", port=False)

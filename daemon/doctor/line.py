@@ -107,8 +107,7 @@ def check_protocol(
             "protocol",
             "to do",
             f"no data within {START_S:g} s",
-            "is it the pad's port? press the reset button of its board; flash its firmware; a pad that only "
-            "answers needs sensor.format with a poll",
+            "is it the pad's port? press the reset button of its board; flash its firmware",
         )
     kind, looks = _why_no_frame(data[-RECENT_BYTES:], described)
     if kind != "format":

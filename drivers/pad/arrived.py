@@ -3,7 +3,6 @@
 from collections import Counter
 
 from touchd.drivers.pad.format import PadFormat
-from touchd.drivers.pad.protocol import parser_of
 
 # The largest share of unprintable characters in text: damage, or another encoding.
 FEW_SHARE = 0.02
@@ -45,11 +44,6 @@ def looks_like(data: bytes) -> str:
     return f"text, such as {shown!r}"
 
 
-def why_no_frame(port: str, described: PadFormat, data: bytes) -> tuple[str, str]:
+def why_no_frame(described: PadFormat, data: bytes) -> tuple[str, str]:
     """Return why bytes from a port hold no frame: the cause in a word or two, and a line for people."""
-    # A telnet server doubles each FF.
-    if port.startswith("tcp://") and parser_of(described).feed(data.replace(b"\xff\xff", b"\xff"), 0.0):
-        return "telnet", (
-            f"frames of {described} come with every byte FF doubled, as telnet does; set its raw mode"
-        )
     return "no frames", f"no frame of {described} in {looks_like(data)}; touchd doctor says what to set"

@@ -10,8 +10,6 @@ damage cannot be detected: the fabric pad's checksum sums low bytes only, so a f
 value passes.
 """
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,8 +20,6 @@ from touchd.drivers.pad.protocol_counts import Damage
 
 # A header this long hardly ever occurs among cells.
 LONG_HEADER = 3
-# A pad that has not answered after this long is polled again.
-REPLY_S = 0.2
 CELL_BITS = {"u8": 8, "u12": 12, "u16": 16, "i16": 16, "f32": 32}
 PLAIN_CELLS = {
     ("u8", "little"): "u1",
@@ -64,21 +60,6 @@ class BinaryFrames(FrameParser):
         self._in_refused_run = False
         # The window at the position follows a frame directly.
         self._in_step = False
-        self._asked = False
-        self._asked_s = -math.inf
-
-    def ask_in_s(self, now_s: float) -> float:
-        """Return how long to wait before asking for the next frame; infinite while a reply may still come."""
-        if self._asked and now_s - self._asked_s < REPLY_S:
-            return math.inf
-        return max(0.0, self._asked_s + 1 / self.format.rate_hz - now_s)
-
-    def ask(self, now_s: float) -> None:
-        """Note that the pad was polled now, and drop an incomplete reply."""
-        if self._asked and self._buffer:
-            self.counts.refuse("bad_framing", len(self._buffer))
-        self._buffer = b""
-        self._asked, self._asked_s = True, now_s
 
     def _parse(self, data: bytes, host_s: float) -> list[Frame]:
         self._buffer += data
@@ -96,7 +77,7 @@ class BinaryFrames(FrameParser):
     def reset(self) -> None:
         super().reset()
         self._claimed = 0
-        self._in_refused_run = self._in_step = self._asked = False
+        self._in_refused_run = self._in_step = False
 
     def damage_in(self, window: bytes) -> Damage | None:
         """Say what is wrong with a whole window that begins with the header; None when it is well-formed."""
@@ -182,7 +163,6 @@ class BinaryFrames(FrameParser):
         self._claimed = 0
         self._in_refused_run = False
         self._in_step = True
-        self._asked = False
         return self._judge(sensor_ms, host_s, values, highest)
 
     def _hides_another(self) -> bool | None:
@@ -218,26 +198,6 @@ class BinaryFrames(FrameParser):
         lost = max(0, -(-unexplained // self._size))
         self.counts.bad_framing += lost
         self._claimed = lost * self._size - unexplained
-
-
-class Replies(BinaryFrames):
-    """Parser for a pad that answers each poll with bare cells: nothing marks where a reply begins."""
-
-    _has_stray = False
-
-    def ask(self, now_s: float) -> None:
-        super().ask(now_s)
-        self._has_stray = False
-
-    def _parse(self, data: bytes, host_s: float) -> list[Frame]:
-        wanted = self._size - len(self._buffer) if self._asked else 0
-        self._asked = len(data) < wanted
-        frames = super()._parse(data[:wanted], host_s)
-        if unsolicited := len(data[wanted:]):
-            self.counts.bytes_dropped += unsolicited
-            self.counts.bad_framing += not self._has_stray
-            self._has_stray = True
-        return frames
 
 
 class Datagrams(BinaryFrames):

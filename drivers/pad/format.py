@@ -56,7 +56,6 @@ class PadFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     cell: Literal["u8", "u12", "u16", "i16", "f32"] = "u16"
     order: Literal["little", "big"] = "little"
     checksum: Literal["none", "values", "sum8", "xor8"] = "none"
-    poll: str = ""
     rate_hz: Annotated[float, msgspec.Meta(ge=10, le=500)] = FRAME_RATE_HZ
     full_scale: Annotated[float, msgspec.Meta(gt=0, le=4e9)] = MAX_COUNT
     invert: bool = False
@@ -65,7 +64,7 @@ class PadFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     mirror: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("header", "footer", "poll"):
+        for name in ("header", "footer"):
             _check_hex(name, getattr(self, name))
         rows, columns = self.used
         if not all(SHORTEST_SIDE <= side <= LONGEST_SIDE for side in self.used):
@@ -80,7 +79,7 @@ class PadFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
     def _check_text(self) -> None:
         plain = PadFormat()
-        for name in ("header", "footer", "clock", "poll", "cell", "order", "checksum"):
+        for name in ("header", "footer", "clock", "cell", "order", "checksum"):
             if getattr(self, name) != getattr(plain, name):
                 what = "text has rows, columns, skip, tail and end"
                 raise FormatError(f"{name} is for a binary format; {what}")
@@ -107,7 +106,7 @@ class PadFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     @property
     def line(self) -> tuple[object, ...]:
         """The line's format, without the grid and its values."""
-        cells = (self.cell, self.order, self.checksum, self.poll)
+        cells = (self.cell, self.order, self.checksum)
         return (self.framing, self.skip, self.tail, self.end, self.header, self.footer, self.clock, *cells)
 
     @property
@@ -133,8 +132,6 @@ PRESETS = {
     "muca": PadFormat(framing="text", rows=12, columns=21, full_scale=255),
     "velostat": PadFormat(framing="text", rows=8, columns=8),
     "m1616": PadFormat(header="aaabac", order="big", rows=16, columns=16),
-    "itas": PadFormat(poll="41", cell="u8", rows=8, columns=8, full_scale=255),
-    "fsr-array": PadFormat(poll="41", rows=8, columns=8),
 }
 
 

@@ -1,17 +1,11 @@
 """A pad on the network: over TCP touchd connects to it, over UDP it listens for what the pad sends."""
 
 import errno
-import logging
 import re
 import select
 import socket
-import time
-from typing import Any
 
-from touchd.drivers.faults import FaultLog
 from touchd.drivers.pad.why_not import ClosedAtOnceError
-
-log = logging.getLogger(__name__)
 
 ADDRESS = re.compile(r"(tcp|udp|socket)://(\[[^\s\]]+\]|[^\s/:?]+)(?::(\d{0,5}))?")
 CONNECT_S = 3.0
@@ -22,9 +16,6 @@ WHY_NOT_BOUND = {
 }
 # A server that is busy may say so before it closes the connection, as ser2net does; quote this much of it.
 LONGEST_REFUSAL = 80
-# Over UDP, another board is read once the current one has sent no frame for GONE_S, or for TURN_S if it has
-# not sent any frame yet.
-GONE_S, TURN_S = 2.0, 0.5
 
 
 def address_of(port: str) -> tuple[str, str, int] | None:
@@ -68,10 +59,6 @@ class NetworkPort:
                     raise ValueError(WHY_NOT_BOUND[error.errno]) from error
                 raise
         self._received = b""
-        self._sender: Any = None
-        self._until_s = 0.0
-        self._sends_frames = False
-        self._faults = FaultLog(log, f"{port}: ")
         self._socket.settimeout(timeout_s)
 
     def read(self, *, is_text: bool) -> bytes:
@@ -80,7 +67,7 @@ class NetworkPort:
         is_text: whether the pad sends lines, which end with their datagram.
         """
         try:
-            data, sender = self._socket.recvfrom(MAX_BYTES)
+            data = self._socket.recv(MAX_BYTES)
         except TimeoutError:
             return b""
         except ConnectionResetError as error:
@@ -90,41 +77,14 @@ class NetworkPort:
                 raise self._closed()
             self._note(data)
             return data
-        if not self._follows(sender):
-            return b""
         return _ended_lines(data) if is_text else data
 
     def _note(self, data: bytes) -> None:
         self._received = (self._received + data)[:LONGEST_REFUSAL]
 
     def _closed(self) -> ConnectionError:
-        return ConnectionResetError() if self._sends_frames else ClosedAtOnceError(self._received)
-
-    def keep_sender(self) -> None:
-        """Note that what was read last completed a frame: its sender is the pad."""
-        self._sends_frames = True
-        self._until_s = time.monotonic() + GONE_S
-
-    def _follows(self, sender: Any) -> bool:
-        """Whether to read this datagram. Until a board sends frames, each board is tried for a while."""
-        is_other = self._sender is None or sender[0] != self._sender[0]
-        if is_other and time.monotonic() < self._until_s:
-            if self._sends_frames:
-                others = f"{sender[0]} sends there too; only {self._sender[0]} is read"
-                self._faults.begin("others", f"{others}: give each board its own port", cause=sender[0])
-            return False
-        if is_other:
-            self._sends_frames = False
-            self._until_s = time.monotonic() + TURN_S
-        self._sender = sender
-        return True
-
-    def write(self, data: bytes) -> None:
-        """Send to the pad; over UDP, to whoever sent last."""
-        if self.is_stream:
-            self._socket.sendall(data)
-        elif self._sender is not None:
-            self._socket.sendto(data, self._sender)
+        has_sent_more = len(self._received) == LONGEST_REFUSAL
+        return ConnectionResetError() if has_sent_more else ClosedAtOnceError(self._received)
 
     def reset_input_buffer(self) -> None:
         while select.select([self._socket], [], [], 0)[0] and (data := self._socket.recv(MAX_BYTES)):

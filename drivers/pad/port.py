@@ -82,15 +82,8 @@ def open_port(port: str, baud: int) -> Line:
 
 
 def read_waiting(opened: Line, parser: FrameParser) -> bytes:
-    """Return what has arrived, waiting at most 0.1 s for it; raise SensorError when it cannot be read.
-
-    A pad that only answers is asked when its parser says so.
-    """
+    """Return what has arrived, waiting at most 0.1 s for it; raise SensorError when it cannot be read."""
     try:
-        if parser.format.poll:
-            from touchd.drivers.pad.poll import ask
-
-            ask(opened, parser)
         if not isinstance(opened, serial.SerialBase):
             return opened.read(is_text=parser.format.framing == "text")
         # pyserial's own read takes five system calls; two are enough.

@@ -9,8 +9,8 @@ def parser_of(described: PadFormat) -> FrameParser:
     """Return a parser for what the pad sends."""
     if described.framing == "text":
         return TextFrames(described)
-    from touchd.drivers.pad.binary import BinaryFrames, Datagrams, Replies
+    from touchd.drivers.pad.binary import BinaryFrames, Datagrams
 
     if described.first_bytes:
         return BinaryFrames(described)
-    return Replies(described) if described.poll else Datagrams(described)
+    return Datagrams(described)

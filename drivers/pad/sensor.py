@@ -4,8 +4,6 @@ import logging
 import threading
 import time
 
-import serial
-
 from touchd.drivers.faults import Backoff
 from touchd.drivers.frame import Frame, SensorState
 from touchd.drivers.pad.arrived import why_no_frame
@@ -29,7 +27,7 @@ FRAME_S, MOST_UNHURRIED_BYTES = 0.0186, 2048
 BOOT_BAUD = 1200
 # After it was reopened this often without a byte, the board needs a person.
 SILENT_OPENINGS = 3
-# Enough for a few frames, even if a telnet server doubles their bytes FF.
+# Enough for a few frames.
 RECENT_BYTES = 32768
 
 
@@ -123,7 +121,7 @@ class Sensor:
         self.parser.reset()
         self._silent_openings += 1
         recent = b""
-        can_wait = reads_all(opened) and not self.parser.format.poll
+        can_wait = reads_all(opened)
         read_s = byte_s = frame_s = reported_s = time.monotonic()
         while not self._stop.is_set():
             data = read_waiting(opened, self.parser)
@@ -140,8 +138,6 @@ class Sensor:
                 recent = (recent + data)[-RECENT_BYTES:]
                 if frames := self._hand_over(data, now_s):
                     frame_s, recent = now_s, b""
-                    if not isinstance(opened, serial.SerialBase):
-                        opened.keep_sender()
                     is_dated = self.parser.clock.dates_frames and len(data) < MOST_UNHURRIED_BYTES
                     if can_wait and is_dated and self.frames_together > 1:
                         together_s = FRAME_S * min(self.frames_together, 2 * frames)
@@ -171,7 +167,7 @@ class Sensor:
         is_udp, is_serial = self._port.startswith("udp://"), "://" not in self._port
         cause = "silent"
         if not is_silent:
-            cause, why = why_no_frame(self._port, self.parser.format, recent)
+            cause, why = why_no_frame(self.parser.format, recent)
         elif self._silent_openings > SILENT_OPENINGS and not is_udp:
             repair = "unplug it, and plug it in again" if is_serial else "switch it off and on"
             why = f"the board takes the port but says nothing, also after it was opened again; {repair}"

@@ -3,10 +3,8 @@
 import argparse
 import errno
 import os
-import pty
 import subprocess
 import termios
-import tty
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +20,6 @@ from rigs.haart_folder import needs_third_study
 from rigs.pressing import SECONDS, pressed
 from rigs.programs import TOUCHD, Program
 from rigs.robots import LOGIN, Robot, needs_qi
-from rigs.sensor_rig import PolledPad
 from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S
 
@@ -197,21 +194,6 @@ def test_a_full_disk_leaves_no_file(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ConfigError, match="No space left on device"):
         write("--port", "none")
     assert os.listdir() == []
-
-
-def test_a_pad_that_must_be_polled_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("touchd.drivers.search.listen.FIRST_BYTE_S", 0.5)
-    master, slave = pty.openpty()
-    tty.setraw(slave)
-    described = PRESETS["fsr-array"]
-    pad = PolledPad(described, lambda: os.read(master, 64), lambda data: os.write(master, data))
-    try:
-        assert write("--port", os.ttyname(slave), "--baud", "9600") == 0
-    finally:
-        os.close(slave)
-        pad.join()
-        os.close(master)
-    assert load(FILE).sensor.format == "fsr-array"
 
 
 def test_the_file_is_written_even_without_a_pad() -> None:

@@ -40,7 +40,7 @@ from touchd.daemon.sinks.touch_store import folder_of, kept_touches
 from touchd.daemon.sinks.touches import decode, read_journal
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.fakes.stub_robot import StubRobot
-from touchd.drivers.pad.format import PRESETS
+from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.pad.port import open_port, read_waiting
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.queue import Signal
@@ -197,8 +197,8 @@ def test_the_robot_gets_each_pads_events_under_its_name() -> None:
             "sensors[...].scene.speak_above: must be",
         ),
         (
-            "sensors: {head: {port: 'udp://0.0.0.0:4000', format: itas}}",
-            "a pad that has to be asked for frames cannot be reached at udp://; use tcp://",
+            "sensors: {head: {port: 'tcp://pad:4000', format: {rows: 8, columns: 8}}}",
+            "a binary format needs a header or footer",
         ),
         (
             f"sensors: {{{', '.join(f'p{n}: {{port: /dev/tty{n}}}' for n in range(MAX_PADS + 1))}}}",
@@ -241,9 +241,9 @@ def test_a_command_for_one_pad_asks_which() -> None:
     settings = Settings(sensors={"head": PadSettings(port="a"), "arm": PadSettings(port="b")})
     assert only_pad(settings, "arm").sensor.port == "b"
     assert only_pad(Settings(), None, "c").sensor.port == "c"
-    asked = Settings(sensor=SensorSettings(format="itas"))
-    with pytest.raises(ConfigError, match=r"--port: .*udp"):
-        only_pad(asked, None, "udp://0.0.0.0:4000")
+    bare = Settings(sensor=SensorSettings(port="udp://0.0.0.0:4000", format=PadFormat(rows=8, columns=8)))
+    with pytest.raises(ConfigError, match=r"--port: .*needs a header"):
+        only_pad(bare, None, "tcp://pad:4000")
     for name in (None, "leg"):
         with pytest.raises(ConfigError, match="give --pad one of head, arm"):
             only_pad(settings, name)

@@ -1,32 +1,24 @@
-"""Pads on a network, and polled pads."""
+"""Pads on a network."""
 
 import os
-import pty
 import socket
 import threading
 import time
-import tty
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import SimpleNamespace
 
-import msgspec
 import pytest
 from rigs.formats import CsvLines, FabricGrid, encode_csv_line, encode_fabric_grid
-from rigs.sensor_rig import PolledPad, assert_played, next_frames, next_state, sensing, stream_of
+from rigs.sensor_rig import assert_played, next_frames, next_state, sensing, stream_of
 from rigs.sockets import free_port
 
 from touchd.drivers.fakes.encode import encode_frame, values_of
 from touchd.drivers.frame import Frame
-from touchd.drivers.pad import network
-from touchd.drivers.pad.binary import REPLY_S
-from touchd.drivers.pad.format import PRESETS, PadFormat, layout_of
-from touchd.drivers.pad.network import GONE_S
+from touchd.drivers.pad.format import PadFormat, layout_of
 from touchd.drivers.pad.port import SensorError, check_port, open_port, read_waiting
 from touchd.drivers.pad.protocol import parser_of
 
-POLLED = [PRESETS["itas"], PRESETS["fsr-array"], msgspec.structs.replace(PRESETS["itas"], clock=True)]
 STREAM = stream_of(400)
 PACKETS = list(map(encode_fabric_grid, STREAM.counts, STREAM.sensor_ms.tolist()))
 
@@ -85,17 +77,13 @@ def test_a_tcp_pad_that_is_switched_on_later_is_found() -> None:
 
 @contextmanager
 def udp_pad() -> Iterator[tuple[str, Callable[[bytes], object]]]:
-    """Yield an address to listen at, and a function that sends a datagram there from a new socket.
-
-    The function's second argument is the address of the board that sends.
-    """
+    """Yield an address to listen at, and a function that sends a datagram there from a new socket."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         where = probe.getsockname()
 
-    def give(data: bytes, board: str = "127.0.0.1") -> None:
+    def give(data: bytes) -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-            sender.bind((board, 0))
             sender.sendto(data, where)
 
     yield f"udp://127.0.0.1:{where[1]}", give
@@ -164,43 +152,11 @@ def test_a_udp_pad_is_found_again_after_silence() -> None:
             assert state.reason.startswith(f"{address}: no data for 0.5 s")
 
 
-def test_the_first_of_two_udp_boards_is_read_until_gone(
-    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    parser = FabricGrid()
-    now_s = [0.0]
-    monkeypatch.setattr(network, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
-    with udp_pad() as (address, give), open_port(address, 9600) as opened:
-
-        def read() -> list[Frame]:
-            frames = parser.feed(read_waiting(opened, parser), time.monotonic())
-            if frames:
-                opened.keep_sender()
-            return frames
-
-        frames = []
-        for number in range(30):
-            now_s[0] += GONE_S - 0.1
-            give(PACKETS[number])
-            frames += read()
-            give(PACKETS[number + 100], "127.0.0.2")
-            assert read() == []
-        assert_played(frames, STREAM, list(range(30)))
-        now_s[0] += GONE_S
-        give(PACKETS[130], "127.0.0.2")
-        give(PACKETS[131], "127.0.0.2")
-        assert read() + read()
-        give(PACKETS[30])
-        assert read() == []
-    warning = f"{address}: 127.0.0.2 sends there too; only 127.0.0.1 is read: give each board its own port"
-    assert caplog.messages == [warning]
-
-
 @pytest.mark.parametrize("stray", [b"", b"hello", PACKETS[0][:50]], ids=["empty", "text", "half a frame"])
-def test_stray_datagrams_do_not_displace_a_udp_pad(stray: bytes) -> None:
+def test_stray_datagrams_cost_a_udp_pad_no_frame(stray: bytes) -> None:
     with udp_pad() as (address, give), sensing(address, silence_s=1.0) as queue:
         for number in range(120):
-            give(stray, "127.0.0.2")
+            give(stray)
             give(PACKETS[number])
             time.sleep(0.01)
         items = queue.take_all()
@@ -276,96 +232,6 @@ def test_a_flooding_pad_is_read_more_slowly() -> None:
             used = Path(f"/proc/self/task/{reader.native_id}/stat").read_text().rpartition(")")[2].split()
     # User and system time, see proc(5); without a rest it takes half a second or more.
     assert int(used[11]) + int(used[12]) < 0.25 * os.sysconf("SC_CLK_TCK")
-
-
-def answered(described: PadFormat, number: int) -> bytes:
-    """Return the expected frame for a poll, counted from 0."""
-    layout = layout_of(described)
-    return layout.pressure(values_of(described, STREAM.counts[number + 1]).ravel()).tobytes()
-
-
-@contextmanager
-def polled_on_a_pty(described: PadFormat) -> Iterator[tuple[str, PolledPad]]:
-    master, slave = pty.openpty()
-    tty.setraw(slave)
-    pad = PolledPad(described, lambda: os.read(master, 64), lambda data: os.write(master, data))
-    try:
-        yield os.ttyname(slave), pad
-    finally:
-        # Closing this end makes the pad's read fail, which ends its thread.
-        os.close(slave)
-        pad.join()
-        os.close(master)
-
-
-@pytest.mark.parametrize("described", POLLED, ids=["u8", "u16", "clock"])
-def test_a_polled_pad_is_polled_for_each_frame(described: PadFormat) -> None:
-    with polled_on_a_pty(described) as (path, pad), sensing(path, parser_of(described)) as queue:
-        frames = next_frames(queue, 30)
-        # One poll per frame, at most at the pad's rate.
-        steps_s = [later - earlier for earlier, later in zip(pad.asked_s, pad.asked_s[1:], strict=False)]
-        # If a busy machine delays a reply, the pad is polled again; the later frames still come in order.
-        replies = iter(range(len(pad.asked_s) + 1))
-        numbers = [
-            next(n for n in replies if one.pressure.tobytes() == answered(described, n)) for one in frames
-        ]
-        assert numbers == list(range(30)) or max(steps_s) > REPLY_S / 2
-        assert sum(steps_s) / len(steps_s) > 0.95 / described.rate_hz
-
-
-def test_a_polled_pad_that_reads_nothing_is_silent_until_it_does() -> None:
-    described = POLLED[0]
-    master, slave = pty.openpty()
-    tty.setraw(slave)
-    os.set_blocking(slave, False)
-    with suppress(BlockingIOError):
-        while True:
-            os.write(slave, bytes.fromhex(described.poll))
-    with sensing(os.ttyname(slave), parser_of(described)) as queue:
-        assert "no data for 0.5 s" in next_state(queue).reason
-        pad = PolledPad(described, lambda: os.read(master, 64), lambda data: os.write(master, data))
-        assert next_state(queue).state == "up"
-    os.close(slave)
-    pad.join()
-    os.close(master)
-
-
-def test_a_late_reply_does_not_answer_the_next_poll() -> None:
-    described = msgspec.structs.replace(POLLED[0], rate_hz=500)
-    parser = parser_of(described)
-    with polled_on_a_pty(described) as (path, pad), open_port(path, 9600) as opened:
-        pad.late_s = 0.25
-        frames = []
-        while len(frames) < 25:
-            frames += parser.feed(read_waiting(opened, parser), time.monotonic())
-            if len(pad.asked_s) == 3:
-                pad.late_s = 0.0
-    whole = {answered(described, number) for number in range(len(STREAM.counts) - 1)}
-    assert {frame.pressure.tobytes() for frame in frames} <= whole
-
-
-def test_a_damaged_reply_is_refused_whole_and_once() -> None:
-    described = msgspec.structs.replace(POLLED[1], checksum="xor8")
-    parser, reply = parser_of(described), encode_frame(described, STREAM.counts[0], 0)
-    for now_s, sent in enumerate([reply[:-1] + bytes([reply[-1] ^ 1]), reply]):
-        parser.ask(float(now_s))
-        frames = parser.feed(sent, float(now_s))
-    assert len(frames) == 1
-    assert (parser.counts.bad, parser.counts.bad_checksum, parser.counts.bytes_dropped) == (1, 1, len(reply))
-
-
-def test_a_pad_on_tcp_is_polled_too() -> None:
-    described = POLLED[1]
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
-        with sensing(address, parser_of(described)) as queue:
-            connection, _ = server.accept()
-            with connection:
-                pad = PolledPad(described, lambda: connection.recv(64), connection.sendall)
-                frames = next_frames(queue, 10)
-                connection.shutdown(socket.SHUT_RDWR)
-                pad.join()
-    assert [frame.pressure.tobytes() for frame in frames] == [answered(described, n) for n in range(10)]
 
 
 def test_a_network_port_is_named_as_it_was_typed() -> None:

@@ -41,8 +41,6 @@ MORE = {
 }
 FORMATS = PRESETS | MORE
 every_format = pytest.mark.parametrize("described", FORMATS.values(), ids=FORMATS)
-sending = {name: each for name, each in FORMATS.items() if not each.poll}
-every_stream = pytest.mark.parametrize("described", sending.values(), ids=sending)
 FEW = settings(deadline=None, max_examples=20)
 
 
@@ -92,7 +90,7 @@ def assert_are(described: PadFormat, frames: Sequence[Frame], numbers: Sequence[
     assert stamps == sorted(set(stamps))
 
 
-@every_stream
+@every_format
 @given(cuts=st.lists(st.integers(0, 20_000), max_size=12))
 @FEW
 def test_frames_come_whole_and_in_order_in_any_chunks(described: PadFormat, cuts: list[int]) -> None:
@@ -102,7 +100,7 @@ def test_frames_come_whole_and_in_order_in_any_chunks(described: PadFormat, cuts
     assert parser.counts.bad == bool(described.footer)
 
 
-@every_stream
+@every_format
 @pytest.mark.parametrize("kept", [0.02, 0.4, 0.97])
 def test_a_truncated_frame_is_lost_alone_and_counted(described: PadFormat, kept: float) -> None:
     parser = parser_of(described)
@@ -119,7 +117,7 @@ def test_a_truncated_frame_is_lost_alone_and_counted(described: PadFormat, kept:
     assert parser.counts.bad >= (described.framing == "binary" or (kept > 0.9 and not described.end))
 
 
-@every_stream
+@every_format
 def test_garbage_is_counted_and_loses_no_intact_frame(described: PadFormat) -> None:
     parser = parser_of(described)
     rng = random.Random(1)
@@ -131,7 +129,7 @@ def test_garbage_is_counted_and_loses_no_intact_frame(described: PadFormat) -> N
     assert parser.counts.bytes_dropped >= len(garbage) - 9
 
 
-@every_stream
+@every_format
 @given(
     pieces=st.lists(st.one_of(st.binary(max_size=300), st.integers(0, 9)), max_size=10),
     cuts=st.lists(st.integers(0, 9999), max_size=9),
@@ -148,7 +146,7 @@ def test_chunk_boundaries_never_change_the_result(
     assert replace(cut.counts, restarted_at=0) == replace(whole.counts, restarted_at=0)
 
 
-@every_stream
+@every_format
 def test_an_endless_line_is_not_buffered(described: PadFormat) -> None:
     floods = (b"\xff" * 5000, b"1," * 2500, b"1\n" * 2500, described.first_bytes * 1500 or b" " * 5000)
     for flood in floods:
@@ -164,9 +162,6 @@ def test_values_above_full_scale_are_cut_to_it(described: PadFormat) -> None:
     upright = msgspec.structs.replace(described, invert=False)
     parser = parser_of(msgspec.structs.replace(upright, full_scale=described.full_scale // 2))
     frames = [encode_frame(upright, np.full((8, 8), 1000, np.uint16), 5 + 9 * number) for number in range(4)]
-    if described.poll:
-        parser.ask(0.0)
-        frames = frames[:1]
     came = parser.feed(end_of(described) + b"".join(frames), 1.0)
     assert came
     # Cells that are cropped are at rest.
@@ -219,46 +214,12 @@ def test_a_frame_with_any_other_checksum_is_refused(kind: Literal["values", "sum
 
 
 def test_a_datagram_is_a_frame_or_is_refused() -> None:
-    described = PadFormat(cell="u8", rows=8, columns=8, full_scale=255, poll="41")
+    described = PadFormat(cell="u8", rows=8, columns=8, full_scale=255)
     parser = Datagrams(described)
     whole = encode_frame(described, counts_of(0), None)
     frames = [len(parser.feed(data, 1.0)) for data in (whole, b"", whole[:-1], whole + b"x", whole)]
     assert frames == [1, 0, 0, 0, 1]
     assert (parser.counts.bad_framing, parser.counts.bytes_dropped) == (2, 2 * len(whole))
-
-
-def test_bytes_that_nobody_asked_for_are_no_reply() -> None:
-    described = PRESETS["itas"]
-    parser = parser_of(described)
-    assert parser.feed(b"x", 0.0) == []
-    assert (parser.counts.bad, parser.counts.bytes_dropped) == (1, 1)
-    parser.ask(0.1)
-    assert_are(described, parser.feed(encode_frame(described, counts_of(0), None), 0.1), [0])
-
-
-@pytest.mark.parametrize("name", ["itas", "fsr-array"])
-def test_a_polled_pad_gives_one_frame_per_poll(name: str) -> None:
-    described = PRESETS[name]
-    parser = parser_of(described)
-    frames: list[Frame] = []
-    for number in range(6):
-        parser.ask(number / 54)
-        reply = encode_frame(described, counts_of(number), None)
-        if number == 2:
-            reply = reply[:-1]
-        if number == 4:
-            reply += b"x"
-        frames += [f for at in range(0, len(reply), 7) for f in parser.feed(reply[at : at + 7], number / 54)]
-    assert_are(described, frames, [0, 1, 3, 4, 5])
-    assert parser.counts.bad == 2
-    # Dropped: the reply that lacked a byte, and the surplus byte after another reply.
-    assert parser.counts.bytes_dropped == frame_bytes(described)
-    assert parser.ask_in_s(5 / 54) == pytest.approx(1 / 54)
-    parser.ask(1.0)
-    assert parser.ask_in_s(1.05) == float("inf")
-    assert parser.ask_in_s(1.3) == 0.0
-    parser.reset()
-    assert parser.ask_in_s(1.05) == 0.0
 
 
 def test_no_frame_mixes_bytes_of_two() -> None:
@@ -279,16 +240,6 @@ def test_cells_that_begin_with_a_short_header_lose_no_frame(cell: str, kind: str
     parser = parser_of(described)
     assert len(feed(parser, b"".join(frames) + bytes.fromhex(described.header))) == len(frames)
     assert parser.counts.bad == 0
-
-
-def test_a_polled_pads_damaged_reply_is_refused_and_counted() -> None:
-    described = msgspec.structs.replace(PRESETS["itas"], checksum="sum8")
-    parser = parser_of(described)
-    parser.ask(0.0)
-    reply = encode_frame(described, counts_of(0), None)
-    assert parser.feed(bytes([reply[0] ^ 1]) + reply[1:], 0.0) == []
-    assert parser.counts.bad_checksum == parser.counts.bad == 1
-    assert parser.ask_in_s(0.1) == 0.0
 
 
 def test_a_pad_without_a_clock_gets_an_even_one() -> None:

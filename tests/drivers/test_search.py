@@ -123,7 +123,7 @@ def check_found_or_refused(described: PadFormat, seed: int) -> None:
 
 
 EVERY = [
-    *(pad for pad in PRESETS.values() if not pad.poll),
+    *PRESETS.values(),
     PadFormat(framing="text", rows=15, columns=14),
     PadFormat(framing="text", rows=11, columns=4, skip=2, end="END"),
     PadFormat(header="ff", cell="u8", rows=8, columns=8, full_scale=250),

@@ -113,17 +113,6 @@ def test_a_port_that_another_program_reconfigured_is_restored() -> None:
         next_frames(queue, 5)
 
 
-def test_a_server_that_speaks_telnet_is_named() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
-        with sensing(address) as queue, server.accept()[0] as connection:
-            for number, counts in enumerate(stream_of(80).counts):
-                connection.sendall(encode_fabric_grid(counts, 18 * number).replace(b"\xff", b"\xff\xff"))
-                time.sleep(0.01)
-            reason = "frames of fabric-grid 10x10 come with every byte FF doubled, as telnet does"
-            assert next_state(queue).reason == f"{address}: {reason}; set its raw mode"
-
-
 def test_a_reader_stopped_during_a_lookup_reports_nothing() -> None:
     with socket.create_server(("127.0.0.1", 0), backlog=0) as deaf, ExitStack() as waiting:
         # A full backlog: further connections are neither taken nor refused, as by a board that is off.

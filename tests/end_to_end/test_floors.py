@@ -84,8 +84,8 @@ def files() -> dict[str, set[str]]:
         for path in ROOT.glob(f"{package}/**/*.py")
         if path.name != "__init__.py" and not path.is_relative_to(STUDIES)
     }
-    # Both go with the port's poll, and with a session of our own.
-    known = {"touchd.drivers.pad.port", "touchd.drivers.robot.session"}
+    # It goes with a session of our own.
+    known = {"touchd.drivers.robot.session"}
     return {
         name: imports(path) & modules.keys() - {name} for name, path in modules.items() if name not in known
     }
@@ -128,7 +128,7 @@ def test_every_wing_exists() -> None:
         pytest.param({"torch", "onnx", "sklearn", "matplotlib", "scipy"}, id="training, pictures"),
         pytest.param({"rich", "websockets", "asyncio"}, id="view, page"),
         pytest.param({"qi", "touchd.daemon.robot.sink", "touchd.drivers.robot.link"}, id="robot"),
-        pytest.param({"touchd.drivers.pad.network", "touchd.drivers.pad.poll"}, id="network, poll"),
+        pytest.param({"touchd.drivers.pad.network"}, id="network"),
         pytest.param({"paho", "pylsl", "cyclonedds", "mcap", "touchd.daemon.bridges.bridges"}, id="bridges"),
         pytest.param(
             {"touchd.daemon.live", "touchd.daemon.sinks.touch_store", "touchd.drivers.recording"},

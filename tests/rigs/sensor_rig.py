@@ -4,16 +4,14 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 
 import numpy as np
 from rigs.formats import FabricGrid, encode_fabric_grid
 from rigs.wait import AT_ONCE_S, WITHIN_S, wait_for
 
 from touchd.daemon.path.monitor import PadMonitor
-from touchd.drivers.fakes.encode import encode_frame
 from touchd.drivers.frame import Counts, Frame, SensorState
-from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.sensor import FrameQueue, Sensor
 from touchd.drivers.recording import Span, Stream, ideal_clock_ms
@@ -108,30 +106,3 @@ def noise(counts: Counts, sensor_ms: int) -> bytes:
 
 def as_8x8(counts: Counts, sensor_ms: int) -> bytes:
     return encode_fabric_grid(counts, sensor_ms, rows=8, columns=8, crop=0)
-
-
-class PolledPad:
-    """Answers each read of polls with one frame, however many polls it holds."""
-
-    def __init__(
-        self, described: PadFormat, receive: Callable[[], bytes], give: Callable[[bytes], object]
-    ) -> None:
-        self.asked_s: list[float] = []
-        self.late_s = 0.0
-        self._described = described
-        self._receive, self._give = receive, give
-        self._counts = stream_of(400).counts
-        self._thread = threading.Thread(target=self._answer)
-        self._thread.start()
-
-    def join(self) -> None:
-        self._thread.join()
-
-    def _answer(self) -> None:
-        with suppress(OSError):
-            while data := self._receive():
-                assert set(data) == set(bytes.fromhex(self._described.poll))
-                self.asked_s.append(time.monotonic())
-                time.sleep(self.late_s)
-                number = len(self.asked_s) % len(self._counts)
-                self._give(encode_frame(self._described, self._counts[number], 18 * len(self.asked_s)))
