@@ -152,7 +152,7 @@ install-program:
 install-files:
 	@install -d $(ETC)/touchd $(UNITS) $(DESTDIR)$(BINDIR)
 	@sed 's#/opt/touchd#$(PROGRAM)#g' systemd/touchd.service > $(UNITS)/touchd.service
-	@sed '1d; s/touchd\.yaml/%i.yaml/; s/^Description=.*/Description=touchd on the pad %i/; s,^StateDirectory=.*,&/%i,' \
+	@sed '1d; s/touchd\.yaml/%i.yaml/; s/^Description=.*/Description=touchd on the pad %i/; s,^StateDirectory=.*,&/%i,; s,^RuntimeDirectory=.*,&-%i,' \
 	  $(UNITS)/touchd.service > $(UNITS)/touchd@.service
 	@chmod 644 $(UNITS)/touchd.service $(UNITS)/touchd@.service
 	@install -D -m 644 systemd/99-touchd.rules $(DESTDIR)$(SYSTEM)/udev/rules.d/99-touchd.rules

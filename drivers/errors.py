@@ -3,17 +3,17 @@
 Every error that a user sees; the command shows its message and exits with code 2:
 
 TouchdError
-    UsageError         daemon/app/usage.py              the command line
-    ConfigError        daemon/app/strict_yaml.py        the configuration
+    UsageError         daemon/app/cli.py           the command line
+    ConfigError        daemon/app/strict_yaml.py   the configuration
     PathError          drivers/errors.py            a path's home
     SensorError        drivers/pad/why_not.py       the pad's port
     FormatError        drivers/pad/format.py        the description of a pad
     RobotError         drivers/robot/session.py     the robot's address, login or library
     ModelError         model/classifier.py          a model file
     RecordingError     drivers/recording.py         a recording
-    JournalError       daemon/sinks/journal.py            the journal
-    LabelError         daemon/sinks/labels.py             a label for a touch
-    TagError           daemon/sinks/tags.py               a tag for touches
+    JournalError       daemon/sinks/journal.py     the journal
+    LabelError         daemon/sinks/labels.py      a label for a touch
+    TagError           daemon/sinks/tags.py        a tag for touches
     BridgeError        daemon/bridges/bridge.py     a bridge's settings or library
     LiveError          daemon/live/address.py       the live page's address or library
     PlotError          daemon/plot/plot.py          a picture
@@ -31,11 +31,13 @@ TouchdError
 Other errors are handled where they arise and never shown, or internal: exit code 1.
 """
 
+import errno
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 MAX_LINE_BYTES = 4000
+DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def one_line(text: str, max_bytes: int = MAX_LINE_BYTES) -> str:

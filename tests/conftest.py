@@ -15,6 +15,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ["XDG_CONFIG_HOME"] = "/nonexistent"
 # Nor may they write what the daemon remembers into that person's home.
 os.environ["XDG_STATE_HOME"] = str(Path(tempfile.gettempdir()) / f"touchd-tests-state-{os.getuid()}")
+os.environ["XDG_RUNTIME_DIR"] = os.environ["XDG_STATE_HOME"]
 
 import pytest
 from xdist.scheduler import LoadFileScheduling
@@ -84,6 +85,10 @@ LONGEST = (
     "test_touch_haart.py",
     "test_sessions.py",
 )
+
+
+def pytest_configure() -> None:
+    os.makedirs(os.environ["XDG_RUNTIME_DIR"], mode=0o700, exist_ok=True)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

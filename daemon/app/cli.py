@@ -1,13 +1,22 @@
 """The command `touchd`: finds the subcommand, and turns every error into one line and an exit code."""
 
+import difflib
+import errno
 import importlib
 import io
 import os
+import re
 import signal
+import socket
 import sys
 from collections.abc import Sequence
+from importlib import metadata
 
-INTERRUPTED = 130
+from touchd.drivers.errors import DISK_FULL, TouchdError, one_line
+from touchd.drivers.installed import SIZES, extra_of, how_to_install, program_name
+
+USERS_MISTAKE, OUR_MISTAKE, INTERRUPTED = 2, 1, 130
+NOT_THERE = re.compile(r"(\S+\.so\S*): cannot open shared object file")
 # These run until a signal ends them; their exit code is then 0.
 UNTIL_ENDED = ("run", "demo", "replay", "fake-pad", "fake-robot")
 
@@ -34,6 +43,10 @@ COMMANDS = {
 """What each subcommand does; its module in `commands` is imported only when it is called."""
 
 
+class UsageError(TouchdError):
+    """The command line names an unknown command."""
+
+
 def module_of(command: str) -> str:
     return f"touchd.daemon.commands.{command.replace('-', '_')}"
 
@@ -51,9 +64,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return ended
     except BrokenPipeError:
-        # Here and below, import only where needed: at the top, it would delay the daemon's start.
-        from touchd.daemon.app.failure import discard_output
-
         discard_output()
         return 0
     except Exception as error:
@@ -64,21 +74,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return ended
         if "--debug" in given:
             raise
-        from touchd.daemon.app.failure import complain
-
         return complain(error)
 
 
 def _run(words: Sequence[str]) -> int:
     if not words or words[0] not in COMMANDS:
-        from touchd.daemon.app.usage import answer
-
-        return answer(words, COMMANDS)
+        return _answer(words)
     name, *rest = words
     command = importlib.import_module(module_of(name))
     # From here on, signals raise KeyboardInterrupt, so that commands clean up; an import could swallow it.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(number) is signal.SIG_DFL:
+        if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, signal.default_int_handler)
     return int(command.main(rest))
 
@@ -93,3 +99,63 @@ def _prepare_streams() -> None:
             setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115 - stays open
         if isinstance(stream := getattr(sys, name), io.TextIOWrapper):
             stream.reconfigure(errors="replace")
+
+
+def _answer(words: Sequence[str]) -> int:
+    """Print help or version, as asked without a command; returns the exit code. Raises UsageError."""
+    if not words or words[0] in ("-h", "--help", "help"):
+        sys.stdout.write(_help())
+        return 0 if words else USERS_MISTAKE
+    if words[0] in ("--version", "version"):
+        sys.stdout.write(f"touchd {metadata.version('touchd')}\n")
+        return 0
+    near = difflib.get_close_matches(words[0].lower(), COMMANDS, n=1)
+    advice = f"did you mean {near[0]}?" if near else f"there are {', '.join(COMMANDS)}"
+    raise UsageError(f"{words[0]} is not a command; {advice}")
+
+
+def _help() -> str:
+    width = max(map(len, COMMANDS))
+    lines = [f"  touchd {name:<{width}}  {what}" for name, what in COMMANDS.items()]
+    first = "touchd recognises social touch on a pressure pad and reports it to a Nao robot within a second."
+    last = f"{program_name()} COMMAND --help says more; --debug with any command shows the trace of an error."
+    return "\n".join([first, "", *lines, "", last, ""])
+
+
+def discard_output() -> None:
+    """Discard buffered output, so that flushing it at exit raises nothing."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def complain(error: Exception) -> int:
+    """Write one line about an error that a command raised; returns the exit code."""
+    what, code = _explained(error)
+    sys.stderr.write(f"touchd: {one_line(what)}\n")
+    return code
+
+
+def _explained(error: Exception) -> tuple[str, int]:
+    """Return an error in words, and the exit code for it."""
+    if isinstance(error, ModuleNotFoundError) and (extra := extra_of(error.name or "")):
+        # As a comment: the line's end may be pasted into a shell.
+        size = f"  # {SIZES[extra]} on the disk" if extra in SIZES else ""
+        return f"{error.name} is not installed (extra {extra}): {how_to_install(extra)}{size}", USERS_MISTAKE
+    if isinstance(error, ImportError) and (library := NOT_THERE.search(str(error))):
+        what = f"{library[1]}, a library of the system, is not there; install the package that brings it"
+        return what, USERS_MISTAKE
+    if isinstance(error, OSError) and error.errno in DISK_FULL:
+        discard_output()
+        return f"{error.filename or 'standard output'}: cannot be written ({error.strerror})", USERS_MISTAKE
+    if isinstance(error, OSError) and error.errno in (errno.EACCES, errno.ENAMETOOLONG):
+        what = f"{error.filename}: {error.strerror}; give another path, or put sudo before the command"
+        return what, USERS_MISTAKE
+    if isinstance(error, TouchdError):
+        # A name server that cannot be reached yet: systemd starts the service again.
+        cause = error.__cause__
+        is_early = isinstance(cause, socket.gaierror) and cause.errno == socket.EAI_AGAIN
+        return str(error), OUR_MISTAKE if is_early else USERS_MISTAKE
+    what = " ".join(f"internal error: {type(error).__name__}: {error}; --debug shows the trace".split())
+    if os.environ.get("PYTHONPATH"):
+        # Labs set it for ROS or NAOqi; it puts other versions of libraries before those installed.
+        what += "; PYTHONPATH is set: try again after `unset PYTHONPATH`"
+    return what, OUR_MISTAKE

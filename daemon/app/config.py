@@ -5,7 +5,8 @@ touchd.example.yaml explains every setting, docs/pads.md the format of a pad.
 
 import errno
 import os
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
@@ -25,6 +26,7 @@ from touchd.drivers.pad.format import PRESETS, PadFormat, Side
 from touchd.drivers.robot.session import RobotSettings
 
 MAX_BYTES = 64 * 1024
+MAX_PADS = 16
 DEFAULT_PORT = "/dev/touchd-pad"
 
 FABRIC = "fabric-grid"
@@ -52,6 +54,27 @@ def config_errors(prefix: str = "") -> Iterator[None]:
         if isinstance(error, OSError) and error.errno in NO_ROOM:
             raise
         raise ConfigError(f"{prefix}the configuration cannot be used: {error}; check its values") from error
+
+
+def _check_pads(ports: Mapping[str, str], *, needs_ascii: bool) -> None:
+    """Raise ValueError if pads cannot be told apart. ports: by name. needs_ascii: for other systems."""
+    if len(ports) > MAX_PADS:
+        raise ValueError(f"sensors: {len(ports)} pads, {MAX_PADS} at most; run another touchd")
+    for name in ports:
+        if not re.fullmatch(r"[A-Za-z]\w{0,31}", name):
+            raise ValueError(f"sensors: invalid pad name {name!r}; use one word such as left_arm")
+        if not name.isascii() and needs_ascii:
+            raise ValueError(f"sensors: {name}: ROS and Home Assistant take only a to z, 0 to 9 and _")
+    named: dict[str, str] = {}
+    for port in ports.values():
+        # A port of UDP is one, at whichever of this computer's addresses.
+        address = re.sub(r"^udp://.*:", "udp://:", port.lower())
+        device = address if "://" in address else os.path.realpath(port)
+        other = named.get(device)
+        if other is not None:
+            same = f", the same device as {other}," if other != port else ""
+            raise ValueError(f"sensors: {port}{same} is the port of more than one pad; give each its own")
+        named[device] = port
 
 
 class SensorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -156,10 +179,8 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         if self.sensors and self.sensor != SensorSettings():
             raise ValueError("sensor and sensors are both set; keep one")
         if self.sensors:
-            from touchd.daemon.app.several_pads import check
-
             needs_ascii = self.ros2 or self.rosbridge or (self.mqtt and self.mqtt.discovery)
-            check({name: pad.port for name, pad in self.sensors.items()}, needs_ascii=bool(needs_ascii))
+            _check_pads({name: pad.port for name, pad in self.sensors.items()}, needs_ascii=bool(needs_ascii))
 
     @property
     def pads(self) -> dict[str, "Settings"]:

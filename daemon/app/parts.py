@@ -1,33 +1,36 @@
-"""Makes the daemon's parts from a configuration; what is not configured is not imported."""
+"""Makes the daemon's parts from a configuration."""
 
 from __future__ import annotations
 
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from touchd.daemon.app.config import JournalSettings, SceneSettings, Settings, config_errors
+from touchd.daemon.app.config import ConfigError, JournalSettings, SceneSettings, Settings, config_errors
+from touchd.daemon.bridges.bridge import Bridge
+from touchd.daemon.bridges.bridges import make_bridges
 from touchd.daemon.bridges.settings import MEMORY_FILES
-from touchd.daemon.path.events import Event
+from touchd.daemon.path.events import UNCERTAIN, Event
 from touchd.daemon.path.monitor import PadMonitor
 from touchd.daemon.path.pipeline import Pipeline, Viewers
+from touchd.daemon.robot.sink import link_to_robot
+from touchd.daemon.sinks.journal import open_journal
+from touchd.daemon.sinks.labels import Labeller, make_labeller
 from touchd.daemon.sinks.sink import Sink
+from touchd.daemon.sinks.touch_store import TouchSink, keep_touches
 from touchd.drivers.errors import written_out
-from touchd.drivers.frame import COLUMNS, ROWS
+from touchd.drivers.frame import COLUMNS, NO_TOUCH, OTHER, ROWS
 from touchd.drivers.pad.port import SensorError, check_port
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.pad.sensor import FrameQueue, Sensor
 from touchd.drivers.queue import Signal
-from touchd.model.classifier import Classifier
+from touchd.model.classifier import Classifier, load_own
 
 if typing.TYPE_CHECKING:
-    from touchd.daemon.bridges.bridge import Bridge
     from touchd.daemon.live.server import LiveServer
-    from touchd.daemon.sinks.labels import Labeller
-    from touchd.daemon.sinks.touch_store import TouchSink
 
 
 @dataclass(eq=False)
@@ -90,19 +93,14 @@ def make_parts(
     live: LiveServer | None = None
     labeller: Labeller | None = None
     if settings.journal is not None:
-        from touchd.daemon.sinks.journal import open_journal
-
         sinks.append(open_journal(settings.journal))
         if settings.journal.keep_touches is not None:
-            from touchd.daemon.sinks.touch_store import keep_touches
-
             kept = keep_touches(settings)
             sinks.append(kept)
     if settings.live is not None:
         if settings.live.label:
-            from touchd.daemon.sinks.labels import make_labeller
-
             labeller = make_labeller(settings, models, emit)
+        # It brings asyncio and websockets, which no daemon without a page needs.
         from touchd.daemon.live.server import open_live_page
 
         live = open_live_page(settings, models, labeller)
@@ -111,13 +109,9 @@ def make_parts(
     state = JournalSettings().file.parent
     # A former configuration may have left something on a broker, which is cleared.
     if any(settings.bridges.values()) or (config is not None and any(state.glob(MEMORY_FILES))):
-        from touchd.daemon.bridges.bridges import make_bridges
-
         bridges = make_bridges(settings, models, state, config)
         sinks += bridges
     if settings.robot is not None:
-        from touchd.daemon.robot.sink import link_to_robot
-
         sinks.append(link_to_robot(settings, emit))
     return Parts(tuple(pads), tuple(sinks), live, kept, bridges, labeller)
 
@@ -133,26 +127,48 @@ def load_models(settings: Settings) -> dict[str, Classifier]:
     for name, pad in pads.items():
         # The shipped model fits the scene by default.
         if pad.model is not None or pad.scene != SceneSettings():
-            from touchd.daemon.app.fit import check_scene
-
             check_scene(pad.scene, models[name])
         # The first answer of each length takes several times longer than those after it.
         for frames in pad.scene.answer_at_frames:
             models[name].probabilities(np.zeros((frames, ROWS, COLUMNS), np.float32))
             models[name].step(np.zeros((frames, ROWS, COLUMNS), np.float32))
     if settings.words:
-        from touchd.daemon.app.fit import check_words
-
         check_words(settings.words, models.values())
     return models
 
 
 def _load(file: str | None) -> Classifier:
-    if file is None:
-        return Classifier.load()
-    from touchd.model.own_file import load_own
+    return Classifier.load() if file is None else load_own(written_out(file))
 
-    return load_own(written_out(file))
+
+def check_words(words: Iterable[str], models: Iterable[Classifier]) -> None:
+    """Raise ConfigError when there are words for a gesture that no pad's model knows."""
+    known = {OTHER, UNCERTAIN}.union(*(model.labels for model in models))
+    if unknown := sorted(set(words) - known):
+        raise ConfigError(f"words.{unknown[0]}: unknown gesture; known: {', '.join(sorted(known))}")
+
+
+def check_scene(scene: SceneSettings, classifier: Classifier) -> None:
+    """Raise ConfigError when a scene asks for gestures or lengths that the model or the scene rules out."""
+    known = set(classifier.labels) - {NO_TOUCH}
+    acted_on = {gesture for rule in scene.actions for gesture in rule.gestures} - {OTHER, UNCERTAIN}
+    for name, gestures in (("scene.gestures", set(scene.gestures)), ("scene.actions", acted_on)):
+        if unknown := sorted(gestures - known):
+            raise ConfigError(
+                f"{name}: {unknown[0]} is not a gesture of the model {classifier.name}; "
+                f"it knows {', '.join(sorted(known))}: name those, or leave {name} out"
+            )
+    if scene.gestures and (never := sorted(acted_on - set(scene.gestures))):
+        raise ConfigError(
+            f"scene.actions: {never[0]} is never told, as scene.gestures leaves it out; add it there, or "
+            "remove it here"
+        )
+    longest = classifier.metadata.max_length
+    if scene.answer_at_frames[-1] > longest:
+        raise ConfigError(
+            f"scene.answer_at_frames: {scene.answer_at_frames[-1]} is more than "
+            f"the {longest} frames that the model {classifier.name} takes"
+        )
 
 
 def check_pad(settings: Settings) -> None:

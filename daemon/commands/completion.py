@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import shtab
 
+from touchd.daemon.app.cli import COMMANDS, module_of
 from touchd.drivers.installed import PROGRAM, program_name
 
 
@@ -22,8 +23,6 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str]) -> int:
     """Write the script; returns 0."""
-    from touchd.daemon.app.cli import COMMANDS, module_of
-
     shell = parser().parse_args(arguments).shell
     whole = argparse.ArgumentParser(prog=PROGRAM)
     commands = whole.add_subparsers()

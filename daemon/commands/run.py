@@ -14,11 +14,18 @@ import msgspec
 
 from touchd.daemon.app.config import ConfigError, Settings, config_errors
 from touchd.daemon.app.log import LogWriter
+from touchd.daemon.app.systemd import Health, Notifier
+from touchd.daemon.commands.one_pad import only_pad
 from touchd.daemon.commands.settings import Found, add_config, find_settings, parsed
+from touchd.daemon.live.address import EVERY_ADDRESS, parse_address, qr_code, urls_of
 from touchd.daemon.path.events import Event, RobotEvent, encode
 from touchd.daemon.path.service import Service
+from touchd.daemon.robot.words import words_of
+from touchd.daemon.sinks.labels import make_labeller
 from touchd.daemon.sinks.sink import LinesSink
 from touchd.daemon.sinks.tags import TagServer, changed
+from touchd.daemon.view.describe import describe
+from touchd.daemon.view.keys import listening
 
 # Python's thread switch interval; its default, 5 ms, is longer than an answer takes.
 SWITCH_S = 0.0005
@@ -117,11 +124,11 @@ def main(arguments: Sequence[str]) -> int:
         closing.callback(signals.ignore)
         service = Service(settings, found.file)
         service.events.tags = tags
-        closing.enter_context(TagServer(service.events))
+        ports = {name: pad.sensor.port for name, pad in settings.pads.items()}
+        closing.enter_context(TagServer(service.events, found.file, ports))
         page, code = _live_page(settings) if settings.live else ("", "")
         if options.view:
-            from touchd.daemon.robot.words import words_of
-            from touchd.daemon.view.keys import listening
+            # It brings rich, which no service needs.
             from touchd.daemon.view.view import View, ViewLog
 
             (name, first), *_ = settings.pads.items()
@@ -151,8 +158,6 @@ def main(arguments: Sequence[str]) -> int:
 
 def show_on(view: "View", service: Service, settings: Settings) -> None:
     """Show everything on a view, and take labels from it."""
-    from touchd.daemon.sinks.labels import make_labeller
-
     service.tell(view)
     service.watchers.append(view)
     models = {pad.name: pad.model for pad in service.pads}
@@ -163,8 +168,6 @@ def _reporting(service: Service, must_stop: Callable[[], bool], closing: ExitSta
     """Return `must_stop`, which reports to systemd each time it is asked, if that started this process."""
     if "NOTIFY_SOCKET" not in os.environ:
         return must_stop
-    from touchd.daemon.app.systemd import Health, Notifier
-
     notifier = Notifier(os.environ)
     closing.callback(notifier.close)
     return Health(notifier, service.pads, service.events).reporting(must_stop)
@@ -177,12 +180,8 @@ def _find(options: argparse.Namespace) -> Found:
     if options.port:
         if settings.sensors:
             raise ConfigError("--port is for a single pad; set sensors.NAME.port in the file instead")
-        from touchd.daemon.commands.one_pad import only_pad
-
         settings = only_pad(settings, None, options.port)
     if options.live is not None:
-        from touchd.daemon.live.address import parse_address
-
         live = parse_address(options.live, settings.live)
         settings = msgspec.structs.replace(settings, live=live)
     return found._replace(settings=settings)
@@ -190,8 +189,6 @@ def _find(options: argparse.Namespace) -> Found:
 
 def _live_page(settings: Settings) -> tuple[str, str]:
     """Return the live page's address, and its QR code if other computers and phones reach it."""
-    from touchd.daemon.live.address import EVERY_ADDRESS, qr_code, urls_of
-
     if not settings.live or not settings.live.port:
         return "", ""
     page = urls_of(settings.live, settings.live.port)[0]
@@ -200,9 +197,6 @@ def _live_page(settings: Settings) -> tuple[str, str]:
 
 def _in_words(settings: Settings) -> Callable[[Event], bytes]:
     """Return a function that describes an event in a line, with the pad's name if there are several pads."""
-    from touchd.daemon.robot.words import words_of
-    from touchd.daemon.view.describe import describe
-
     words = words_of(settings)
 
     def line(event: Event) -> bytes:

@@ -1,8 +1,6 @@
 """`touchd tag`: puts tags into the events of a daemon that runs on this computer."""
 
 import argparse
-import os
-import re
 import socket
 import sys
 from collections.abc import Sequence
@@ -10,27 +8,15 @@ from pathlib import Path
 
 import msgspec
 
-from touchd.daemon.sinks.tags import (
-    ADDRESS,
-    ANSWER_WITHIN_S,
-    MOST_BYTES,
-    Reply,
-    TagError,
-    changed,
-    in_words,
-    peer_of,
-)
-from touchd.drivers.errors import os_errors_as
-
-NAMES = Path("/proc/net/unix")
-NAME = re.compile(re.escape(ADDRESS.replace("\0", "@").format(pid="")) + r"(\d+)$", re.MULTILINE)
+from touchd.daemon.sinks.tags import ANSWER_WITHIN_S, MOST_BYTES, Reply, TagError, changed, in_words, sockets
+from touchd.drivers.errors import one_line
 
 
 def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="touchd tag",
         description="Puts tags into every event of the touchd that runs on this computer, until it ends. "
-        "Prints the tags that then hold.",
+        "Prints the tags that then hold. If several run, choose one as it was started, by -c or --port.",
     )
     parser.add_argument(
         "tags",
@@ -38,7 +24,8 @@ def parser() -> argparse.ArgumentParser:
         metavar="KEY=VALUE",
         help="as in participant=P07; KEY= removes a tag",
     )
-    parser.add_argument("--pid", type=int, help="the process of the daemon, if several run")
+    parser.add_argument("-c", "--config", type=Path, metavar="FILE", help="of the daemon with these settings")
+    parser.add_argument("--port", help="of the daemon that reads this port")
     return parser
 
 
@@ -47,47 +34,62 @@ def main(arguments: Sequence[str]) -> int:
     options = parser().parse_args(arguments)
     # Report a mistake in a tag before a missing daemon.
     changed({}, options.tags)
-    with os_errors_as(TagError, f"{NAMES}: cannot be read", "give the tags to `touchd run --tag`"):
-        running = sorted({int(pid) for pid in NAME.findall(NAMES.read_text())})
-    if options.pid is not None:
-        running = [pid for pid in running if pid == options.pid]
-    replies = {pid: reply for pid in running if (reply := _request(pid, [])) is not None}
-    if not replies and running:
-        raise TagError("touchd runs as another user; put sudo before the command")
-    if not replies and options.pid is not None:
-        raise TagError(f"process {options.pid} is not a running touchd; leave out --pid if only one runs")
-    if not replies:
-        raise TagError("no touchd runs on this computer; start it, or give the tags to `touchd run --tag`")
-    if len(replies) > 1:
-        which = "; ".join(f"{pid} (tags: {in_words(reply.tags)})" for pid, reply in replies.items())
-        raise TagError(f"{len(replies)} touchd run on this computer; choose one with --pid: {which}")
-    (pid,) = replies
-    reply = _request(pid, options.tags)
+    running = _running(options.config, options.port)
+    if len(running) > 1:
+        which = "; ".join(map(str, running.values()))
+        raise TagError(
+            f"{len(running)} touchd run on this computer; choose one with -c FILE or --port PORT: {which}"
+        )
+    (path,) = running
+    reply = _request(path, options.tags)
     if reply is None:
         raise TagError("touchd has just ended; start it again, with the tags after --tag")
     if reply.error:
         raise TagError(reply.error)
-    sys.stdout.write(f"tags: {in_words(reply.tags)}\n")
+    sys.stdout.write(f"tags: {one_line(in_words(reply.tags))}\n")
     return 0
 
 
-def _request(pid: int, tags: list[str]) -> Reply | None:
-    """Send tags to a daemon; return its reply, None if it does not reply to this user.
+def _running(config: Path | None, port: str | None) -> dict[Path, Reply]:
+    """Return the sockets of the daemons that run with these settings, and what they say; raises TagError."""
+    wanted = str(config.resolve()) if config is not None else None
+    is_anothers = False
+    running: dict[Path, Reply] = {}
+    for path in sockets():
+        try:
+            reply = _request(path, [])
+        except PermissionError:
+            is_anothers = True
+            continue
+        if reply and wanted in (None, reply.config) and port in (None, *reply.pads.values()):
+            running[path] = reply
+    if not running and is_anothers:
+        raise TagError("touchd runs as another user; put sudo before the command")
+    if not running:
+        which = "no touchd with these settings" if config or port else "no touchd of yours"
+        raise TagError(
+            f"{which} runs on this computer; start it, or give the tags to `touchd run --tag`; if another "
+            "user started it, put sudo before the command"
+        )
+    return running
 
-    Raises TagError if it hangs.
+
+def _request(path: Path, tags: list[str]) -> Reply | None:
+    """Send tags to a daemon; return its reply, None if it has ended.
+
+    Raises TagError if it hangs, PermissionError if it is another user's.
     """
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as connection:
             connection.settimeout(2 * ANSWER_WITHIN_S)
-            connection.connect(ADDRESS.format(pid=pid))
-            # Anybody may have taken this name.
-            if os.geteuid() not in (0, peer_of(connection)[1]):
-                return None
+            connection.connect(str(path))
             connection.send(msgspec.json.encode(tags))
             return msgspec.json.decode(connection.recv(MOST_BYTES), type=Reply)
     except TimeoutError as error:
         raise TagError(
-            f"touchd, process {pid}, does not answer; try again, or choose another with --pid"
+            f"the touchd behind {path} does not answer; try again, or choose another with -c or --port"
         ) from error
+    except PermissionError:
+        raise
     except (OSError, msgspec.DecodeError):
         return None

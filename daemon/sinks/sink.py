@@ -1,6 +1,5 @@
 """Where events go. Each sink has its own bounded queue and its own thread, so that none can slow the loop."""
 
-import errno
 import logging
 import os
 import select
@@ -13,6 +12,7 @@ from typing import Generic, TypeVar
 import msgspec
 
 from touchd.daemon.path.events import Event, RobotEvent, SensorEvent, TouchBegan
+from touchd.drivers.errors import DISK_FULL
 from touchd.drivers.faults import FaultLog
 from touchd.drivers.queue import DroppingQueue
 
@@ -21,7 +21,6 @@ log = logging.getLogger(__name__)
 Item = TypeVar("Item")
 
 WRITABLE_WAIT_S = 0.1
-DISK_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
 class Sink(typing.Protocol):

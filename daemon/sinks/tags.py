@@ -1,13 +1,16 @@
 """Tags: what the person who runs trials says of them, as in participant=P07; they stand in every event."""
 
+import errno
+import hashlib
 import logging
 import os
 import re
 import socket
-import struct
 import threading
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
+from glob import glob
+from pathlib import Path
 
 import msgspec
 
@@ -19,12 +22,11 @@ log = logging.getLogger(__name__)
 KEY = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,31}")
 LONGEST_VALUE = 64
 MOST_TAGS = 8
-# In the kernel's own namespace, which needs no folder, and whose names go with their process.
-ADDRESS = "\0touchd-tags-{pid}"
 MOST_BYTES = 8192
 ANSWER_WITHIN_S = 1.0
-# What SO_PEERCRED returns: the process, its user and its group.
-CREDENTIALS = struct.Struct("3i")
+# Where the daemons of systemd and of root have their sockets, and those of other users.
+SERVICES = ("/run/touchd*",)
+OTHERS = ("/run/user/*/touchd", "/tmp/touchd-*")
 
 
 class TagError(TouchdError):
@@ -32,10 +34,21 @@ class TagError(TouchdError):
 
 
 class Reply(msgspec.Struct):
-    """The daemon's answer to a request for tags. error: why nothing was changed, or ""."""
+    """A daemon's answer to a request for tags.
 
+    config: the file of its settings, "" for the defaults. pads: their names and ports. error: why nothing was
+    changed, or "".
+    """
+
+    config: str
+    pads: dict[str, str]
     tags: dict[str, str]
     error: str = ""
+
+    def __str__(self) -> str:
+        """Say which daemon this is."""
+        pads = ", ".join(f"{name} at {port}" for name, port in self.pads.items())
+        return f"{self.config or 'the defaults'} ({pads}; tags: {in_words(self.tags)})"
 
 
 def changed(tags: Mapping[str, str], texts: Iterable[str]) -> dict[str, str]:
@@ -65,28 +78,49 @@ def in_words(tags: Mapping[str, str]) -> str:
     return ", ".join(f"{key}={value}" for key, value in tags.items()) or "none"
 
 
-def peer_of(connection: socket.socket) -> tuple[int, int]:
-    """Return process and user at the other end of a Unix socket."""
-    credentials = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, CREDENTIALS.size)
-    process, user, _ = CREDENTIALS.unpack(credentials)
-    return process, user
+def own_folder() -> Path:
+    """Return the folder for the socket of a daemon that this process is: only its user and root read it."""
+    if service := os.environ.get("RUNTIME_DIRECTORY"):
+        return Path(service.partition(":")[0])
+    session = Path(os.environ.get("XDG_RUNTIME_DIR") or "/nonexistent")
+    # With sudo -E it is another user's.
+    if session.is_dir() and session.stat().st_uid == os.geteuid():
+        return session / "touchd"
+    if os.geteuid() == 0:
+        return Path("/run/touchd")
+    return Path(f"/tmp/touchd-{os.geteuid()}")
+
+
+def sockets() -> list[Path]:
+    """Return the sockets of the daemons that this user may reach: root reaches every user's."""
+    folders = (str(own_folder()), *SERVICES, *(OTHERS if os.geteuid() == 0 else ()))
+    return sorted({Path(path) for folder in folders for path in glob(f"{folder}/*.socket")})
 
 
 class TagServer:
-    """Takes tags from `touchd tag`, for this user and root, while the daemon runs. A context manager."""
+    """Takes tags from `touchd tag`, for this user and root, while the daemon runs. A context manager.
 
-    def __init__(self, events: EventFanout) -> None:
+    config: the file of the daemon's settings, None for the defaults. pads: their names and ports. The
+    socket is named after both.
+    """
+
+    def __init__(self, events: EventFanout, config: Path | None, pads: Mapping[str, str]) -> None:
         self._events = events
+        self._config = str(config.resolve()) if config is not None else ""
+        self._pads = dict(pads)
+        digest = hashlib.sha256(repr((self._config, self._pads)).encode()).hexdigest()[:8]
+        name = config.stem[:32] if config is not None else "defaults"
+        self._path = own_folder() / f"{name}-{digest}.socket"
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._thread = threading.Thread(target=self._serve, name="touchd-tags", daemon=True)
 
     def __enter__(self) -> "TagServer":
         try:
-            self._socket.bind(ADDRESS.format(pid=os.getpid()))
+            self._bind()
             self._socket.listen()
             self._thread.start()
         except OSError as error:
-            log.warning("`touchd tag` will not work: %s", error.strerror)
+            log.warning("`touchd tag` will not work: %s: %s", self._path, error.strerror)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -95,6 +129,20 @@ class TagServer:
         self._socket.close()
         if self._thread.ident is not None:
             self._thread.join(ANSWER_WITHIN_S)
+            with suppress(OSError):
+                self._path.unlink()
+
+    def _bind(self) -> None:
+        folder = self._path.parent
+        folder.mkdir(mode=0o700, exist_ok=True)
+        if folder.stat().st_uid not in (0, os.geteuid()):
+            # In /tmp, somebody else may have made it.
+            raise PermissionError(errno.EPERM, "the folder is another user's")
+        if self._path.exists() and not _is_served(self._path):
+            # A daemon that was killed left it.
+            self._path.unlink()
+        self._socket.bind(str(self._path))
+        self._path.chmod(0o600)
 
     def _serve(self) -> None:
         with suppress(OSError):
@@ -102,16 +150,20 @@ class TagServer:
                 connection, _ = self._socket.accept()
                 with connection, suppress(OSError):
                     connection.settimeout(ANSWER_WITHIN_S)
-                    if peer_of(connection)[1] in (0, os.geteuid()):
-                        connection.send(msgspec.json.encode(self._answer(connection.recv(MOST_BYTES))))
+                    connection.send(msgspec.json.encode(self._answer(connection.recv(MOST_BYTES))))
 
     def _answer(self, request: bytes) -> Reply:
         before = dict(self._events.tags)
         try:
             new = changed(before, msgspec.json.decode(request, type=list[str]))
         except (TagError, msgspec.DecodeError, RecursionError) as error:
-            return Reply(before, str(error))
+            return Reply(self._config, self._pads, before, str(error))
         if new != before:
             self._events.tags = new
             log.info("tags: %s", in_words(new))
-        return Reply(new)
+        return Reply(self._config, self._pads, new)
+
+
+def _is_served(path: Path) -> bool:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as connection:
+        return connection.connect_ex(str(path)) != errno.ECONNREFUSED

@@ -22,7 +22,7 @@ from rigs.wait import WITHIN_S
 
 from touchd.daemon.app import cli
 from touchd.daemon.app.config import ConfigError, SceneSettings
-from touchd.daemon.app.fit import check_scene
+from touchd.daemon.app.parts import check_scene
 from touchd.daemon.commands import demo
 from touchd.daemon.path.events import RobotAction, TouchBegan, TouchEnded
 from touchd.daemon.playback.stream import with_quiet
@@ -101,6 +101,20 @@ def test_ctrl_c_at_any_moment_leaves_no_trace(tmp_path: Path, imported: str) -> 
     done = ran([*TOUCHD, "classify"], env={**os.environ, "PYTHONPATH": str(tmp_path)})
     assert done.returncode == -signal.SIGINT
     assert done.stderr == ""
+
+
+AS_PROCESS_1 = """
+import os, signal
+import touchd.daemon.__main__
+os.kill(os.getpid(), signal.SIGTERM)
+print("lost")
+"""
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root makes a process 1")
+def test_a_container_stops_while_it_starts() -> None:
+    done = ran(["unshare", "--pid", "--fork", sys.executable, "-c", AS_PROCESS_1])
+    assert (done.returncode, done.stdout) == (128 + signal.SIGTERM, "")
 
 
 def with_signals_at_the_end(begin: str) -> tuple[int, str]:

@@ -111,7 +111,13 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
         ("sensor: {'a`b': 1}", "sensor.a`b: unknown setting"),
         ("sensor: {baud: fast}", "sensor.baud: a whole number expected, not text"),
         ("sensor: {port: ''}", "sensor.port: must not be empty"),
-        ("sensor: {baud: 3}", "sensor.baud: must be >= 1200"),
+        ("touch: {quiet_s: 800}", "touch.quiet_s: 800 must be at most 5 (seconds)"),
+        (
+            "scene: {answer_at_frames: [0, 81, 144]}",
+            "scene.answer_at_frames[0]: 0 must be at least 1 (frames)",
+        ),
+        ("sensors: {a: {size_mm: [0, 80]}}", "size_mm[0]: must be at least 0.001 (millimetres)"),
+        ("sensor: {baud: 3}", "sensor.baud: 3 must be at least 1200"),
         (f"sensor: {{baud: {'9' * 8000}}}", "Exceeds the limit (4300 digits)"),
         ("sensor: {protocol: csv}", "sensor.protocol: unknown setting"),
         ("sensor: {crop: 4}", "sensor: 10x10 with crop 4 leaves 2x2; a side of 4 to 64 must be left"),
@@ -124,8 +130,8 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
             "live:\n  #port: 8054",
             "line 1, column 1: live has no value; write null for none",
         ),
-        ("touch: {onset_threshold: .nan}", "touch.onset_threshold: must be >= 0.001"),
-        ("scene: {speak_above: 1.5}", "scene.speak_above: must be <= 1.0"),
+        ("touch: {onset_threshold: .nan}", "touch.onset_threshold: nan must be at least 0.001"),
+        ("scene: {speak_above: 1.5}", "scene.speak_above: 1.5 must be at most 1"),
         (
             "scene: {actions: [{do: [{leds: purple}]}]}",
             "scene.actions[0].do[0].leds: settings (name: value) or null expected, not text; as in leds: "
@@ -143,7 +149,7 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
             "robot: {url: 'tcp://n:1', token: secret}",
             "robot.token: unknown setting; write the token",
         ),
-        ("journal: {path: x, max_mb: .inf}", "journal.max_mb: must be <= 10000.0"),
+        ("journal: {path: x, max_mb: .inf}", "journal.max_mb: inf must be at most 10000 (megabytes)"),
         ("mqtt: {host: 'mqtt://broker'}", "mqtt.host: another form expected, as in host: broker.local"),
         ("mqtt: {host: 'broker:1883'}", "mqtt.host: another form expected, as in host: broker.local"),
         ("mqtt: {host: '[::1]'}", "mqtt.host: another form expected, as in host: broker.local"),
@@ -197,7 +203,7 @@ def test_a_mistake_is_named_in_one_line(tmp_path: Path, text: str, message: str)
 )
 def test_zero_is_refused_after_the_model_is_loaded(tmp_path: Path, text: str) -> None:
     Classifier.load(SHIPPED_MODEL)
-    assert "must be >= 0.001" in refusal(tmp_path, text)
+    assert "must be at least 0.001" in refusal(tmp_path, text)
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,8 @@ from rigs.wait import WITHIN_S
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from touchd.daemon.app import cli
+from touchd.daemon.app.cli import complain
 from touchd.daemon.app.config import ConfigError, LiveSettings
-from touchd.daemon.app.failure import complain
 from touchd.daemon.live.address import LiveError, is_own_host, listen, parse_address
 from touchd.daemon.live.page import FOLDER
 from touchd.daemon.live.server import HANDSHAKE_S, MOST_CONNECTIONS

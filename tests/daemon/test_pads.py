@@ -20,6 +20,7 @@ from rigs.wait import WITHIN_S, wait_for
 
 from touchd.daemon.app import cli
 from touchd.daemon.app.config import (
+    MAX_PADS,
     ConfigError,
     JournalSettings,
     PadSettings,
@@ -29,7 +30,6 @@ from touchd.daemon.app.config import (
     load,
 )
 from touchd.daemon.app.parts import make_parts
-from touchd.daemon.app.several_pads import MAX_PADS
 from touchd.daemon.bridges.settings import MqttSettings
 from touchd.daemon.commands.one_pad import only_pad
 from touchd.daemon.path.events import Event, Prediction, RobotAction, SensorEvent, TouchBegan, TouchEnded

@@ -5,9 +5,10 @@ import os
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 from rigs.expectations import LENGTHS
@@ -17,31 +18,45 @@ from rigs.running_daemon import SPEED
 from rigs.wait import WITHIN_S, wait_for
 
 from touchd.daemon.app import cli
-from touchd.daemon.commands import tag as command
 from touchd.daemon.path.events import Event, RobotEvent, encode
+from touchd.daemon.sinks import tags
 from touchd.daemon.sinks.sink import EventFanout
-from touchd.daemon.sinks.tags import ADDRESS, TagError, TagServer, changed
+from touchd.daemon.sinks.tags import TagError, TagServer, changed
 from touchd.daemon.sinks.touches import decode
 
 SERVE = """
 import sys
+from pathlib import Path
 from touchd.daemon.sinks.sink import EventFanout
 from touchd.daemon.sinks.tags import TagServer
-with TagServer(EventFanout()):
+with TagServer(EventFanout(), Path(sys.argv[1]), {"pad": "/dev/ttyACM1"}):
     print(1, flush=True)
     sys.stdin.read()
 """
 # The first call loads every module, which the other user may not be able to read.
 AS_ANOTHER_USER = """
-import os
+import os, sys
 from contextlib import suppress
-from touchd.daemon.commands.tag import main
-from touchd.daemon.sinks.tags import TagError
-with suppress(TagError):
-    main(["--pid", "1"])
+from touchd.daemon.commands import tag
+from touchd.daemon.sinks import tags
+tags.SERVICES = (sys.argv[1],)
+tags.OTHERS = ()
+with suppress(tags.TagError):
+    tag.main(["--port", "none"])
 os.setuid(65534)
-main(["--pid", "{pid}", "participant=P07"])
+tag.main(["participant=P07"])
 """
+PORT = "/dev/ttyACM0"
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The only folder in which this computer's daemons have their sockets."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    monkeypatch.setattr(tags, "SERVICES", ())
+    monkeypatch.setattr(tags, "OTHERS", ())
+    return tmp_path / "touchd"
 
 
 class Listed:
@@ -63,12 +78,12 @@ def tagged() -> Iterator[tuple[EventFanout, Listed]]:
     """Serve tags of a fan-out to one sink, in this process."""
     fanout, sink = EventFanout(), Listed()
     fanout.sinks = (sink,)
-    with TagServer(fanout):
+    with TagServer(fanout, Path("a.yaml"), {"pad": PORT}):
         yield fanout, sink
 
 
 def tag(*arguments: str) -> int:
-    return cli.main(["tag", "--pid", str(os.getpid()), *arguments])
+    return cli.main(["tag", *arguments])
 
 
 def test_tags_stand_in_every_event_from_then_on(capsys: pytest.CaptureFixture[str]) -> None:
@@ -114,50 +129,86 @@ def test_there_are_eight_tags_at_most(capsys: pytest.CaptureFixture[str]) -> Non
         changed({}, [f"k{number}=v" for number in range(9)])
 
 
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ((), "no touchd of yours runs on this computer; start it"),
+        (("-c", "b.yaml"), "no touchd with these settings runs"),
+        (("--port", "/dev/ttyACM7"), "no touchd with these settings runs"),
+    ],
+)
 def test_without_a_daemon_it_says_so_in_a_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    capsys: pytest.CaptureFixture[str], options: Sequence[str], message: str
 ) -> None:
-    monkeypatch.setattr(command, "NAMES", tmp_path / "names")
-    (tmp_path / "names").touch()
-    assert cli.main(["tag", "participant=P07"]) == 2
-    assert "no touchd runs on this computer" in capsys.readouterr().err
+    if options:
+        with tagged():
+            assert tag("participant=P07", *options) == 2
+    else:
+        assert tag("participant=P07") == 2
+    said = capsys.readouterr().err
+    assert message in said
+    assert len(said.splitlines()) == 1
 
 
-def test_a_process_that_is_not_a_daemon_is_named(capsys: pytest.CaptureFixture[str]) -> None:
-    assert tag("participant=P07") == 2
-    assert f"process {os.getpid()} is not a running touchd" in capsys.readouterr().err
-
-
-def test_of_two_daemons_one_has_to_be_chosen(capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("choice", [("-c", "a.yaml"), ("--port", PORT)])
+def test_of_two_daemons_one_has_to_be_chosen(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], choice: Sequence[str]
+) -> None:
+    config = tmp_path / "b.yaml"
+    served = [sys.executable, "-c", SERVE, str(config)]
     with (
         tagged() as (fanout, _),
-        subprocess.Popen(
-            [sys.executable, "-c", SERVE], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-        ) as other,
+        subprocess.Popen(served, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other,
     ):
         assert other.stdout is not None
         other.stdout.readline()
-        assert cli.main(["tag", "participant=P07"]) == 2
-        assert f"{other.pid} (tags: none)" in capsys.readouterr().err
-        assert tag("participant=P07") == 0
+        assert tag("participant=P07") == 2
+        said = capsys.readouterr().err
+        assert f"{config} (pad at /dev/ttyACM1; tags: none)" in said
+        assert f"a.yaml (pad at {PORT}; tags: none)" in said
+        assert tag("participant=P07", *choice) == 0
         assert fanout.tags == {"participant": "P07"}
         other.communicate()
 
 
-def test_a_daemon_that_hangs_is_not_another_users(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_daemon_that_hangs_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder.mkdir()
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as hanging:
-        hanging.bind(ADDRESS.format(pid=os.getpid()))
+        hanging.bind(str(folder / "a.socket"))
         hanging.listen()
         assert tag("participant=P07") == 2
-    assert f"touchd, process {os.getpid()}, does not answer" in capsys.readouterr().err
+    assert f"{folder}/a.socket does not answer" in capsys.readouterr().err
+
+
+def test_what_a_killed_daemon_left_is_replaced(folder: Path) -> None:
+    with tagged():
+        (path,) = folder.iterdir()
+    assert not path.exists()
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as killed:
+        killed.bind(str(path))
+    with tagged() as (fanout, _):
+        assert tag("participant=P07") == 0
+        assert fanout.tags == {"participant": "P07"}
+
+
+def test_a_second_daemon_of_one_pad_leaves_the_firsts_socket(caplog: pytest.LogCaptureFixture) -> None:
+    with tagged() as (fanout, _):
+        with tagged():
+            assert "`touchd tag` will not work" in caplog.text
+        assert tag("participant=P07") == 0
+        assert fanout.tags == {"participant": "P07"}
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
-def test_another_user_cannot_tag() -> None:
-    with tagged() as (fanout, _):
-        code = AS_ANOTHER_USER.format(pid=os.getpid())
-        asked = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-        assert fanout.tags == {}
+def test_another_user_cannot_tag(tmp_path: Path) -> None:
+    with TemporaryDirectory() as shared, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RUNTIME_DIRECTORY", shared)
+        with tagged() as (fanout, _):
+            os.chmod(shared, 0o755)
+            asked = subprocess.run(
+                [sys.executable, "-c", AS_ANOTHER_USER, shared], capture_output=True, text=True
+            )
+            assert fanout.tags == {}
     assert "TagError: touchd runs as another user" in asked.stderr
 
 
@@ -175,13 +226,13 @@ def test_run_writes_its_tags_to_the_journal(tmp_path: Path) -> None:
         with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as daemon:
             try:
                 wait_for(ends)
-                assert cli.main(["tag", "--pid", str(daemon.pid), "participant=P08"]) == 0
+                assert tag("-c", str(config), "participant=P08") == 0
                 count = ends()
                 wait_for(lambda: ends() > count + 1)
             finally:
                 daemon.terminate()
                 daemon.wait(WITHIN_S)
-    tags = [decode(line).tags for line in journal.read_bytes().splitlines()]
-    assert tags[0] == {"participant": "P07"}
-    assert tags[-1] == {"participant": "P08"}
-    assert all(tags)
+    written = [decode(line).tags for line in journal.read_bytes().splitlines()]
+    assert written[0] == {"participant": "P07"}
+    assert written[-1] == {"participant": "P08"}
+    assert all(written)

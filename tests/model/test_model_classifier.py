@@ -11,6 +11,7 @@ import pytest
 
 from touchd.drivers.frame import FRAME_RATE_HZ
 from touchd.model.classifier import (
+    MAX_FILE_BYTES,
     METADATA_KEY,
     SHIPPED_MODEL,
     Classifier,
@@ -18,8 +19,8 @@ from touchd.model.classifier import (
     ModelMetadata,
     as_known,
     digest_file,
+    load_own,
 )
-from touchd.model.own_file import MAX_FILE_BYTES, load_own
 from touchd.model.settings import LENGTHS
 from touchd.model.studies.checks.hard_cases import hand
 from touchd.model.studies.checks.stability import chunked
@@ -210,7 +211,7 @@ class TestOtherModels:
         assert "another output than probabilities: odd" in refusal(self.saved(proto))
 
     def test_a_graph_without_an_end_is_refused_in_time(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr("touchd.model.own_file.TRIAL_S", 0.5)
+        monkeypatch.setattr("touchd.model.classifier.TRIAL_S", 0.5)
         helper, kind = self.onnx.helper, self.onnx.TensorProto
         info = helper.make_tensor_value_info
         steps = [("go", "still"), ("held", "kept")]

@@ -24,8 +24,7 @@ from rich.console import Group, JustifyMethod
 from rich.table import Table
 
 from touchd.drivers.fakes.hand import simulate
-from touchd.model.classifier import SHIPPED_MODEL, Classifier
-from touchd.model.own_file import load_own
+from touchd.model.classifier import SHIPPED_MODEL, Classifier, load_own
 from touchd.model.studies.checks.hard_cases import FRAMES, checkerboard, hand, hard_cases, tiny
 from touchd.model.studies.checks.timing import time_in_turn
 

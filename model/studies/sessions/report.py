@@ -10,8 +10,7 @@ from pathlib import Path
 import msgspec
 
 from touchd.drivers.recording import Recording, Selection, read_recordings, realign
-from touchd.model.classifier import SHIPPED_MODEL, Classifier
-from touchd.model.own_file import load_own
+from touchd.model.classifier import SHIPPED_MODEL, Classifier, load_own
 from touchd.model.studies.folders import study_parser
 from touchd.model.studies.play import frames_of, play
 from touchd.model.studies.sessions.plan import SessionSettings, sessions

@@ -23,8 +23,7 @@ from touchd.daemon.path.pipeline import Clock, Pipeline
 from touchd.drivers.frame import NO_TOUCH
 from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.protocol import parser_of
-from touchd.model.classifier import SHIPPED_MODEL, Classifier
-from touchd.model.own_file import load_own
+from touchd.model.classifier import SHIPPED_MODEL, Classifier, load_own
 from touchd.model.studies.folders import study_parser
 from touchd.model.training.haart import find
 from touchd.model.training.weights import LEFT_OUT_FOLDER
