@@ -114,14 +114,17 @@ def _source() -> str:
 
 
 def program_name() -> str:
-    """Return "touchd" if the shell finds this program by that name, else a path, short if it is near."""
+    """Return "touchd" if the shell finds this program by that name, else a path, short if it is near.
+
+    Near is an environment in this folder, as .venv/bin/touchd: a longer relative path works here alone.
+    """
     beside = Path(sys.executable).with_name(PROGRAM)
     found = shutil.which(PROGRAM)
     if found is not None and os.path.realpath(found) == os.path.realpath(beside):
         return PROGRAM
     if beside.exists():
-        here = Path.cwd()
-        return shlex.quote(str(beside.relative_to(here) if beside.is_relative_to(here) else beside))
+        is_near = beside.parents[2] == Path.cwd() and beside.parents[2] != Path("/")
+        return shlex.quote(str(beside.relative_to(Path.cwd()) if is_near else beside))
     return f"{shlex.quote(sys.executable)} -m touchd.daemon"
 
 

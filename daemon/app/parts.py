@@ -21,7 +21,7 @@ from touchd.daemon.sinks.journal import open_journal
 from touchd.daemon.sinks.labels import Labeller, make_labeller
 from touchd.daemon.sinks.sink import Sink
 from touchd.daemon.sinks.touch_store import TouchSink, keep_touches
-from touchd.drivers.errors import written_out
+from touchd.drivers.errors import PathError, written_out
 from touchd.drivers.frame import COLUMNS, NO_TOUCH, OTHER, ROWS
 from touchd.drivers.pad.port import SensorError, check_port
 from touchd.drivers.pad.protocol import parser_of
@@ -106,7 +106,12 @@ def make_parts(
         live = open_live_page(settings, models, labeller)
         sinks.append(live)
     bridges: tuple[Bridge, ...] = ()
-    state = JournalSettings().file.parent
+    state = Path("/nonexistent")
+    try:
+        state = JournalSettings().file.parent
+    except PathError:
+        # A user without a home remembers nothing.
+        config = None
     # A former configuration may have left something on a broker, which is cleared.
     if any(settings.bridges.values()) or (config is not None and any(state.glob(MEMORY_FILES))):
         bridges = make_bridges(settings, models, state, config)

@@ -3,11 +3,12 @@
 import argparse
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
 from touchd.daemon.app.config import Settings, load
-from touchd.drivers.errors import written_out
+from touchd.drivers.errors import PathError, written_out
 
 NAME = "touchd.yaml"
 SERVICE_FOLDER = Path("/etc/touchd")
@@ -49,8 +50,11 @@ def find_settings(given: Path | None) -> Found:
     """
     if given is not None:
         return Found(load(given), given)
-    users = written_out(os.environ.get("XDG_CONFIG_HOME") or "~/.config") / "touchd" / NAME
-    for path in (Path(NAME), users):
+    own = [Path(NAME)]
+    # In a container, a user may have no home.
+    with suppress(PathError):
+        own.append(written_out(os.environ.get("XDG_CONFIG_HOME") or "~/.config") / "touchd" / NAME)
+    for path in own:
         if path.exists():
             return Found(load(path), path)
     service = SERVICE_FOLDER / NAME

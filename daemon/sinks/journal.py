@@ -146,6 +146,12 @@ def _open(path: Path) -> int:
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             raise JournalError(f"journal {path}: another touchd writes it; give each its own") from error
+        except OSError as error:
+            if error.errno not in (errno.ENOLCK, errno.EOPNOTSUPP):
+                raise
+            raise JournalError(
+                f"journal {path}: its file system cannot lock files; give journal.path on a local disk"
+            ) from error
         size = os.fstat(fd).st_size
         begin = os.pread(fd, len(FIRST_BYTES), 0)
         if begin.strip(b"\0") and not FIRST_BYTES.startswith(begin):

@@ -13,13 +13,18 @@ from msgspec.structs import replace
 from touchd.daemon.app.config import (
     MAX_BYTES,
     ConfigError,
+    JournalSettings,
     SceneSettings,
     SensorSettings,
     Settings,
     config_errors,
     load,
 )
+from touchd.daemon.app.parts import make_parts
+from touchd.daemon.commands.settings import find_settings
+from touchd.drivers.errors import PathError
 from touchd.drivers.pad.format import PRESETS, PadFormat
+from touchd.drivers.queue import Signal
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 
 EXAMPLE = Path(__file__).parents[2] / "daemon/touchd.example.yaml"
@@ -42,6 +47,31 @@ def refusal(folder: Path, text: str) -> str:
     assert path == str(folder / "touchd.yaml")
     assert "\n" not in message
     return message
+
+
+@pytest.fixture
+def homeless(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A user without a home and without an entry in passwd, as a container may run as."""
+
+    def unknown(_: int) -> None:
+        raise KeyError
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("pwd.getpwuid", unknown)
+    for name in ("HOME", "XDG_CONFIG_HOME", "XDG_STATE_HOME", "STATE_DIRECTORY"):
+        monkeypatch.delenv(name, raising=False)
+
+
+@pytest.mark.usefixtures("homeless")
+def test_without_a_home_the_daemon_runs_and_stores_nothing(tmp_path: Path) -> None:
+    settings = find_settings(None).settings
+    assert make_parts(settings, print, tuple, Signal(), tmp_path / "touchd.yaml").sinks == ()
+
+
+@pytest.mark.usefixtures("homeless")
+def test_without_a_home_the_default_journal_is_refused() -> None:
+    with pytest.raises(PathError, match="unknown home; set HOME, or write the whole path"):
+        make_parts(Settings(journal=JournalSettings()), print, tuple, Signal())
 
 
 def test_an_empty_file_is_all_defaults(tmp_path: Path) -> None:

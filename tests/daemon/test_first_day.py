@@ -147,6 +147,19 @@ def test_the_printed_name_runs_this_program(monkeypatch: pytest.MonkeyPatch, tmp
         assert done.stdout.startswith("touchd 0.")
 
 
+def test_a_printed_path_is_relative_only_beside_its_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", os.defpath)
+    monkeypatch.setattr(Path, "exists", lambda _: True)
+    for python, folder, name in (
+        ("/home/lab/touchd/.venv/bin/python", "/home/lab/touchd", ".venv/bin/touchd"),
+        ("/opt/touchd/bin/python", "/", "/opt/touchd/bin/touchd"),
+        ("/opt/bin/python", "/", "/opt/bin/touchd"),
+    ):
+        monkeypatch.setattr(sys, "executable", python)
+        monkeypatch.setattr(Path, "cwd", lambda folder=folder: Path(folder))
+        assert program_name() == name
+
+
 def test_bash_completes_commands_and_options(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["completion", "bash"]) == 0
     script = capsys.readouterr().out

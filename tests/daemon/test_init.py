@@ -223,7 +223,7 @@ def test_a_robots_name_finds_its_protocol_and_port(
         port = int(robot.url.rpartition(":")[2])
         for typed in ("localhost", f"tcp://localhost:{port}"):
             scheme = "tcps" if login else "tcp"
-            monkeypatch.setattr(machine, "ROBOT_PORTS", machine.ROBOT_PORTS | {scheme: port})
+            monkeypatch.setattr(machine, "ROBOT_PORTS", {"tcp": 1, "tcps": 1} | {scheme: port})
             main(["--port", "none", "--robot", typed])
             found = load(FILE).robot
             assert found is not None

@@ -1,5 +1,6 @@
 """Sinks never block the loop and stop when asked; the journal holds whole lines within its limit."""
 
+import errno
 import json
 import os
 import random
@@ -57,6 +58,15 @@ def read(reader: int, count: int) -> list[Event]:
 
 def kept(path: Path) -> list[Event]:
     return [decode(line) for line in path.read_bytes().splitlines()]
+
+
+def test_a_file_system_without_locks_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr("fcntl.flock", refuse)
+    with pytest.raises(JournalError, match="its file system cannot lock files; give"):
+        Journal(tmp_path / "events.jsonl", max_bytes=1000, keep=1)
 
 
 def test_events_come_out_as_json_lines_in_order(pipe: tuple[int, int]) -> None:

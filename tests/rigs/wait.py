@@ -9,7 +9,7 @@ from typing import ParamSpec, TypeVar
 P = ParamSpec("P")
 T = TypeVar("T")
 # Not requirements: what a busy machine may need, for a condition and for a whole program.
-SOON_S = 10.0
+SOON_S = 60.0
 WITHIN_S = 100.0
 # The same for stopping, after which systemd would kill the daemon.
 AT_ONCE_S = 5.0
