@@ -9,7 +9,6 @@ from rich.console import Console
 from touchd.daemon.commands.one_pad import add_settings, settings_of
 from touchd.daemon.record.capture import PadReader
 from touchd.daemon.record.dialogue import GESTURES, HOW, Dialogue, Terms
-from touchd.daemon.record.label import label, label_of
 from touchd.daemon.record.session import Session
 from touchd.daemon.record.who import ask_setting, name
 from touchd.daemon.view.ask import Stopped
@@ -58,41 +57,22 @@ def parser() -> argparse.ArgumentParser:
         help="seconds of rest before each recording (%(default)g)",
     )
     parser.add_argument("--licence", default="not stated", help="what others may do with the recordings")
-    parser.add_argument(
-        "--from-journal",
-        type=Path,
-        metavar="JOURNAL",
-        help="label the touches that the daemon saved beside this journal, without the pad",
-    )
-    parser.add_argument(
-        "--label",
-        type=label_of,
-        action="append",
-        metavar="TOUCH=GESTURE",
-        help="with --from-journal: label this touch, given by its number or the beginning of its time",
-    )
     add_settings(parser)
     return parser
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Make the missing recordings, or label saved touches, until the person stops.
+    """Make the missing recordings, until the person stops.
 
     Returns 1 while recordings that were asked for are missing.
     """
     options = parser().parse_args(arguments)
     console = Console(width=text_width(), highlight=False, markup=False)
     try:
-        if options.from_journal:
-            label(console, options)
-        elif options.label:
-            parser().error("--label goes with --from-journal")
-        else:
-            return 0 if _record(console, options) else INCOMPLETE
+        return 0 if _record(console, options) else INCOMPLETE
     except (Stopped, KeyboardInterrupt):
         console.print("\nStopped. What was kept is safe; the same command continues from here.")
-        return 0 if options.from_journal else INCOMPLETE
-    return 0
+        return INCOMPLETE
 
 
 def _record(console: Console, options: argparse.Namespace) -> bool:

@@ -23,7 +23,7 @@ from touchd.daemon.robot.words import SHIPPED, Vocabulary, name_of, words_of
 from touchd.daemon.sinks.touches import ReportedTouch
 from touchd.drivers.frame import CLOCK_MODULUS, FRAME_RATE_HZ, NO_TOUCH, Frame
 
-TOUCHES = 12
+TOUCHES = 40
 PREDICTIONS = 24
 # The curve of a touch that a later viewer gets: its first 15 seconds, every third frame.
 TRACE_FRAMES = 810

@@ -21,9 +21,6 @@ class Setting(NamedTuple):
     cover: str = "none"
 
 
-USUAL = Setting()
-
-
 def is_name(text: str) -> bool:
     """Whether a text can name a participant, a substrate, a cover or a gesture."""
     return NAME.fullmatch(text) is not None
@@ -48,10 +45,9 @@ def ask_name(console: Console, question: str, default: str = "") -> str:
         console.print(f"  {answer!r}: {NAME_RULE}" if answer else f"  {NAME_RULE}", style="yellow")
 
 
-def ask_setting(console: Console, given: object, usual: Setting = USUAL, past: bool = False) -> Setting:
+def ask_setting(console: Console, given: object) -> Setting:
     """Return who touches what: as the options say, asking for what they leave open; raises Stopped."""
-    touches, is_ = ("touched", "was") if past else ("touches", "is")
-    questions = (f"Who {touches} the pad?", f"What {is_} under the pad?", f"What {is_} over the pad?")
+    questions = ("Who touches the pad?", "What is under the pad?", "What is over the pad?")
     options = [getattr(given, name, None) for name in Setting._fields]
-    asked = zip(options, questions, usual, strict=True)
+    asked = zip(options, questions, Setting(), strict=True)
     return Setting(*(option or ask_name(console, question, default) for option, question, default in asked))

@@ -13,8 +13,8 @@ from touchd.drivers.frame import NO_TOUCH, OTHER
 from touchd.drivers.installed import program_name
 from touchd.model.classifier import Classifier
 
-# The key of each gesture but notouch, in order. l, q, u and w are commands of `touchd record`.
-KEYS = "123456789abcdefghijkmnoprstvxyz"
+# The key of each gesture but notouch, in order.
+KEYS = "123456789abcdefghijklmnopqrstuvwxyz"
 NO_TOUCH_KEY = "0"
 
 # From this many labelled touches on, and at each multiple, it says how to learn from them.

@@ -87,8 +87,8 @@ def read_all(folder: Path, known: Sequence[str], keep_all: bool = False) -> Read
             recordings.append(recording)
     if not recordings and passed_over[NO_LABEL]:
         raise ExtraError(
-            f"{folder}: nobody has said what its touches were; do, with `touchd run --view` or "
-            "`touchd record --from-journal`"
+            f"{folder}: nobody has said what its touches were; do, on the live page (live.label) or with "
+            "`touchd run --view`"
         )
     _check_gestures(folder, {recording.gesture for recording in recordings}, known, keep_all)
     return Read(_as_known(_by_the_only_one(recordings)), +passed_over)

@@ -13,6 +13,7 @@ from rigs.running_daemon import Daemon
 from rigs.wait import WITHIN_S, wait_for
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
+from selenium.webdriver.remote.webelement import WebElement
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request
@@ -96,6 +97,30 @@ def test_a_button_names_what_a_touch_was(chrome: Chrome, labelled: Labelled) -> 
     assert "= stroke" in chrome.find_element(By.ID, "touches").text
     chrome.refresh()
     wait_for(lambda: [one.text for one in chrome.find_elements(By.CSS_SELECTOR, pressed)] == ["stroke"])
+
+
+def test_a_touch_of_the_list_is_labelled_as_well(chrome: Chrome, labelled: Labelled) -> None:
+    labelled.touch(2)
+    show_in(chrome, 1280, 800)
+    chrome.get(f"http://127.0.0.1:{labelled.port}/")
+    listed = wait_for(
+        lambda: len(found := chrome.find_elements(By.CSS_SELECTOR, "#touches button")) == 2 and found
+    )
+    listed[1].click()
+    wait_for(lambda: chrome.find_element(By.CSS_SELECTOR, "#labels legend").text == "Touch 1 was")
+    buttons = chrome.find_elements(By.CSS_SELECTOR, "#labels button")
+    next(button for button in buttons if button.text == "rub").click()
+    wait_for(lambda: ["rub" in row.text for row in rows(chrome)] == [False, True])
+    # The next label is the last touch's again.
+    assert chrome.find_element(By.CSS_SELECTOR, "#labels legend").text == "That was"
+    next(button for button in buttons if button.text == "pat").click()
+    wait_for(lambda: len(labelled.events) == 2)
+    labels = [event for event in labelled.events if isinstance(event, Label)]
+    assert [(label.touch, label.gesture) for label in labels] == [(1, "rub"), (2, "pat")]
+
+
+def rows(chrome: Chrome) -> list[WebElement]:
+    return chrome.find_elements(By.CSS_SELECTOR, "#touches li")
 
 
 def test_after_ten_labels_the_page_says_how_to_learn(chrome: Chrome, labelled: Labelled) -> None:

@@ -80,9 +80,6 @@ def test_each_pad_has_touches_scene_and_frames_of_its_own(tmp_path: Path) -> Non
         assert touches == list(range(1, number + 1))
         assert [kept.number for kept in kept_touches(folder_of(journal, pad))] == touches
     assert all(touch.ended and touch.predictions for touch in read_journal(journal))
-    label = ["--from-journal", str(journal), "--pad", "left_arm", "--label", "2=pat", "--participant", "anna"]
-    assert cli.main(["record", str(tmp_path / "lab"), *label]) == 0
-    assert len(list((tmp_path / "lab").glob("anna_*_pat_*"))) == 1
 
 
 def test_pads_share_a_model_unless_one_has_its_own(tmp_path: Path) -> None:

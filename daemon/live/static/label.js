@@ -1,4 +1,4 @@
-// Buttons that say what the last touch was, for viewers on touchd's computer.
+// Buttons that say what a touch was, for viewers on touchd's computer: the last one, or one chosen in the list.
 
 import { nameOf } from "./words.js";
 
@@ -11,11 +11,28 @@ export class Labels {
   #send;
   #buttons = new Map();
   #store = null;
+  #chosen = null;
 
-  constructor(fieldset, advice, send) {
+  /** onChoice: called when a touch of the list is chosen. */
+  constructor(fieldset, advice, list, send, onChoice) {
     this.#fieldset = fieldset;
     this.#advice = advice;
     this.#send = send;
+    list.addEventListener("click", ({ target }) => {
+      if (!target.value) return;
+      const began = this.#store.touches.find((touch) => touch.began.touch === Number(target.value)).began;
+      this.#chosen = this.isChosen(began) ? null : began;
+      onChoice();
+    });
+  }
+
+  /** Whether labels are taken from here. */
+  get areTaken() {
+    return this.#buttons.size > 0;
+  }
+
+  isChosen({ touch, time }) {
+    return this.#chosen?.touch === touch && this.#chosen.time === time;
   }
 
   /** Show a button for each gesture, if labels are taken from here. */
@@ -27,11 +44,13 @@ export class Labels {
     this.#advice.before(...this.#buttons.values());
   }
 
-  /** Mark what the last touch was, if anybody has said so. */
+  /** Mark what the chosen touch was, or else the last one, if anybody has said so. */
   show(store) {
     this.#store = store;
-    this.#fieldset.hidden = this.#buttons.size === 0 || store.touch === undefined;
-    const said = store.said.get(store.touch?.began.touch);
+    if (!store.touches.some(({ began }) => began.pad === this.#chosen?.pad && this.isChosen(began))) this.#chosen = null;
+    this.#fieldset.hidden = !this.areTaken || store.touch === undefined;
+    this.#fieldset.firstElementChild.textContent = this.#chosen ? `Touch ${this.#chosen.touch} was` : "That was";
+    const said = store.said.get((this.#chosen ?? store.touch?.began)?.touch);
     for (const [gesture, button] of this.#buttons) button.ariaPressed = String(gesture === said);
   }
 
@@ -45,7 +64,8 @@ export class Labels {
     button.type = "button";
     button.textContent = nameOf(gesture);
     button.addEventListener("click", () => {
-      const { pad, touch } = this.#store.touch.began;
+      const { pad, touch } = this.#chosen ?? this.#store.touch.began;
+      this.#chosen = null;
       this.#send(JSON.stringify({ pad, touch, gesture }));
     });
     return button;

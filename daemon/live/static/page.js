@@ -52,8 +52,8 @@ function draw() {
   if (hasEvent || hasLive) show.showChances(store);
   if (hasEvent) {
     show.showAnswer(store);
-    show.showTouches(store);
     labels.show(store);
+    show.showTouches(store, labels);
   }
   hasEvent = hasLive = false;
 }
@@ -129,7 +129,10 @@ const send = connect(onMessage, (why) => {
   link = why;
   watch();
 });
-const labels = new Labels($("labels"), $("advice"), send);
+const labels = new Labels($("labels"), $("advice"), $("touches"), send, () => {
+  hasEvent = true;
+  drawSoon();
+});
 const size = () => document.querySelector("[name=size]:checked").value;
 const touch = new Touch(document.querySelector(".square"), $("invitation"), size, send);
 showMarks($("counts"));

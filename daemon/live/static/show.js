@@ -134,15 +134,21 @@ export function fitTouches() {
   if (whole && bottoms.at(-1) > room) list.style.maxHeight = `${whole}px`;
 }
 
-export function showTouches(store) {
+/** List the touches; those that can be labelled from here are chosen by a button. */
+export function showTouches(store, labels) {
+  const list = $("touches");
+  const { scrollTop } = list;
+  const focused = list.contains(document.activeElement) && document.activeElement.value;
   const ended = store.touches.filter((touch) => touch.ended !== null).reverse();
-  $("touches").replaceChildren(
-    ...(ended.length ? ended.map((touch) => row(touch, store)) : [make("li", "path", "none yet")]),
+  list.replaceChildren(
+    ...(ended.length ? ended.map((touch) => row(touch, store, labels)) : [make("li", "path", "none yet")]),
   );
   fitTouches();
+  list.scrollTop = scrollTop;
+  if (focused) list.querySelector(`[value="${focused}"]`)?.focus({ preventScroll: true });
 }
 
-function row({ began, predictions, ended }, { scene, said }) {
+function row({ began, predictions, ended }, { scene, said }, labels) {
   const length = seconds(Number((ended.frames / scene.frame_rate_hz).toFixed(1)));
   const path = make("span", "path");
   let before = null;
@@ -154,10 +160,15 @@ function row({ began, predictions, ended }, { scene, said }) {
   }
   if (said.has(began.touch)) path.append(make("em", "label", ` = ${nameOf(said.get(began.touch))}`));
   if (ended.reason !== "released") path.append(` · ${ENDINGS[ended.reason] ?? ended.reason}`);
+  let name = ended.gesture === predictions.at(-1)?.gesture ? wordsOf(predictions.at(-1)) : nameOf(ended.gesture);
+  if (labels.areTaken) {
+    name = make("button", "", name);
+    Object.assign(name, { type: "button", value: began.touch, ariaPressed: String(labels.isChosen(began)) });
+  }
   return make(
     "li",
     "",
-    make("b", "", ended.gesture === predictions.at(-1)?.gesture ? wordsOf(predictions.at(-1)) : nameOf(ended.gesture)),
+    make("b", "", name),
     make("span", "when", `${length} · ${timeOfDay(began.time)}`),
     path,
   );

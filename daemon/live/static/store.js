@@ -1,7 +1,7 @@
 // A pad's data: the scene, the last touches, and the last frames.
 
 export const TAXELS = 64;
-const TOUCHES = 12;
+const TOUCHES = 40;
 const PAD_AT = 4 + 2 * TAXELS;
 const FRAME_BYTES = PAD_AT + 1;
 // A touch is detected a little after it began: its first frames are taken from this many recent ones.
