@@ -8,6 +8,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from touchd.daemon.sinks.touch_store import labels_in
 from touchd.drivers.frame import NO_TOUCH
 from touchd.model.adapt.folder import files_of
 from touchd.model.adapt.output import check_output
@@ -45,6 +46,7 @@ def main(arguments: Sequence[str]) -> int:
     output = options.output or Path(f"touchd-{options.extra.resolve().name}.onnx")
     # Report a wrong path before loading torch, which takes seconds.
     files_of(options.extra)
+    labels = labels_in(options.extra)
     check_output(output)
     with Console(stderr=True).status("loading torch"):
         import torch  # noqa: F401
@@ -53,7 +55,8 @@ def main(arguments: Sequence[str]) -> int:
         from touchd.model.adapt.report import report_lines
         from touchd.model.adapt.ship import adapt_folder
 
-    adapted = adapt_folder(options.extra, output, AdaptSettings(seed=options.seed), options.keep_all)
+    settings = AdaptSettings(seed=options.seed)
+    adapted = adapt_folder(options.extra, output, settings, options.keep_all, labels)
     for line in report_lines(adapted):
         sys.stdout.write(f"{line}\n")
     gestures = ", ".join(label for label in adapted.labels if label != NO_TOUCH)

@@ -7,7 +7,7 @@ from typing import Annotated
 import msgspec
 from websockets.asyncio.server import ServerConnection, broadcast
 
-from touchd.daemon.path.events import Count
+from touchd.daemon.path.events import Count, TouchBegan
 from touchd.daemon.sinks.labels import LabelError, Labeller
 
 # A web server in front of the page hides where a viewer is; it adds one of these.
@@ -32,15 +32,15 @@ _decode = msgspec.json.Decoder(_Said).decode
 
 
 class Labels:
-    """Takes labels from viewers on this computer. knows: whether the page shows a pad's touch."""
+    """Takes labels from viewers on this computer. find: returns the beginning of a pad's touch, if shown."""
 
     MOST_MESSAGE_BYTES = 512
     # A label a second.
     BYTES_PER_S = 128.0
 
-    def __init__(self, labeller: Labeller, knows: Callable[[str, int], bool]) -> None:
+    def __init__(self, labeller: Labeller, find: Callable[[str, int], TouchBegan | None]) -> None:
         self._labeller = labeller
-        self._knows = knows
+        self._find = find
 
     def take(self, viewer: ServerConnection, message: str | bytes) -> str:
         """Emit the label in a viewer's message; returns why the message is refused, or ""."""
@@ -50,10 +50,11 @@ class Labels:
             said = _decode(message)
         except (msgspec.DecodeError, UnicodeDecodeError):
             return "not a label"
-        if not self._knows(said.pad, said.touch):
+        touch = self._find(said.pad, said.touch)
+        if touch is None:
             return "no such touch"
         try:
-            advice = self._labeller.label(said.pad, said.touch, said.gesture)
+            advice = self._labeller.label(touch, said.gesture)
         except LabelError:
             return "no such gesture"
         if advice:

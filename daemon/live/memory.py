@@ -127,10 +127,10 @@ class Memory:
             case TouchBegan():
                 self._action = None
                 self._touches.append(ReportedTouch(event))
-                self._said = {touch: said for touch, said in self._said.items() if self.shows(touch)}
+                self._said = {touch: said for touch, said in self._said.items() if self.find(touch)}
                 self._rest = self._rest_before(event.sensor_ms)
                 self._traced = list(self._recent.copy())
-            case Label() if self.shows(event.touch):
+            case Label() if self.find(event.touch):
                 self._said[event.touch] = event.gesture
             case Prediction() | TouchEnded() if self._touches:
                 is_told = isinstance(event, Prediction) and event.told
@@ -139,9 +139,9 @@ class Memory:
                 self._touches[-1].add(event)
                 del self._touches[-1].predictions[:-PREDICTIONS]
 
-    def shows(self, touch: int) -> bool:
-        """Whether a touch is among those that the page shows."""
-        return touch in [one.began.touch for one in self._touches]
+    def find(self, touch: int) -> TouchBegan | None:
+        """Return the beginning of a touch that the page shows; None if it shows no such touch."""
+        return next((one.began for one in self._touches if one.began.touch == touch), None)
 
     def _rest_before(self, began_ms: int) -> NDArray[np.float64] | None:
         """Return the mean of each taxel just before a touch, None without frames of that time."""

@@ -25,7 +25,7 @@ from touchd.daemon.live.door import Door
 from touchd.daemon.live.memory import Memory, Scene
 from touchd.daemon.live.page import Page
 from touchd.daemon.live.viewers import Viewers
-from touchd.daemon.path.events import Event, LivePrediction, RobotEvent
+from touchd.daemon.path.events import Event, LivePrediction, RobotEvent, TouchBegan
 from touchd.drivers.frame import DEFAULT_PAD, Frame
 from touchd.drivers.queue import DroppingQueue
 from touchd.model.classifier import Classifier
@@ -96,7 +96,7 @@ class LiveServer:
         if labeller is not None:
             from touchd.daemon.live.label import Labels
 
-            self._messages = Labels(labeller, self._knows)
+            self._messages = Labels(labeller, self._find)
         self._page = Page(own_names(settings))
         self._viewers = Viewers(self._state)
         self._items: DroppingQueue[Item] = DroppingQueue(CAPACITY, _may_drop)
@@ -259,9 +259,9 @@ class LiveServer:
         stamp, touchable = self._page.stamp, self._is_touchable
         return [encode_message(self._pads[pad].state(stamp, pad, pads, touchable)) for pad in pads]
 
-    def _knows(self, pad: str, touch: int) -> bool:
-        """Whether the page shows this touch."""
-        return pad in self._pads and self._pads[pad].shows(touch)
+    def _find(self, pad: str, touch: int) -> TouchBegan | None:
+        """Return the beginning of a touch that the page shows."""
+        return self._pads[pad].find(touch) if pad in self._pads else None
 
 
 def _may_drop(item: Item) -> bool:

@@ -109,9 +109,13 @@ class RobotAction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", t
 
 
 class Label(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="label"):
-    """A person says what a touch was; of several labels of a touch the last holds."""
+    """A person says what a touch was; of several labels of a touch the last holds.
+
+    began: the time of the touch's `touch_began`, as numbers begin with 1 again after a restart.
+    """
 
     touch: Count
+    began: str
     gesture: str
     time: str
     pad: str = DEFAULT_PAD

@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from touchd.daemon.app.config import Settings
-from touchd.daemon.path.events import Event, Label, timestamp
-from touchd.daemon.sinks.touch_store import folder_of, kept_touches
+from touchd.daemon.path.events import Event, Label, TouchBegan, timestamp
+from touchd.daemon.sinks.touch_store import folder_of
 from touchd.drivers.errors import TouchdError
 from touchd.drivers.frame import NO_TOUCH, OTHER
 from touchd.drivers.installed import program_name
@@ -41,24 +41,22 @@ class Labeller:
         self._emit = emit
         self.gestures = gestures
         self._folders = folders
-        self._before = {pad: _labelled_in(folder) for pad, folder in folders.items()}
         self._labelled: dict[str, set[int]] = {pad: set() for pad in gestures}
 
-    def label(self, pad: str, touch: int, gesture: str) -> str:
-        """Emit a label; return how to learn from the labels if there are enough now, else "".
+    def label(self, touch: TouchBegan, gesture: str) -> str:
+        """Emit a label; return how to learn from this run's labels if there are enough now, else "".
 
-        Raises LabelError if there is no such pad or gesture.
+        Raises LabelError if the pad has no such gesture.
         """
-        known = self.gestures.get(pad)
-        if known is None:
-            raise LabelError(f"{pad}: no pad has this name")
+        known = self.gestures[touch.pad]
         if gesture not in known:
             raise LabelError(f"{gesture}: not a gesture of this pad's model; it knows {', '.join(known)}")
-        is_new = touch not in self._labelled[pad]
-        self._labelled[pad].add(touch)
-        self._emit(Label(touch=touch, gesture=gesture, time=timestamp(time.time()), pad=pad))
-        count = self._before.get(pad, 0) + len(self._labelled[pad])
-        return self._advice(pad, count) if is_new and count % ENOUGH == 0 else ""
+        labelled = self._labelled[touch.pad]
+        is_new = touch.touch not in labelled
+        labelled.add(touch.touch)
+        now = timestamp(time.time())
+        self._emit(Label(touch=touch.touch, began=touch.time, gesture=gesture, time=now, pad=touch.pad))
+        return self._advice(touch.pad, len(labelled)) if is_new and len(labelled) % ENOUGH == 0 else ""
 
     def _advice(self, pad: str, count: int) -> str:
         folder = self._folders.get(pad)
@@ -72,7 +70,7 @@ class Labeller:
 def make_labeller(
     settings: Settings, models: Mapping[str, Classifier], emit: Callable[[Event], None]
 ) -> Labeller:
-    """Return what takes labels of touches; raises RecordingError if kept touches cannot be read."""
+    """Return what takes labels of touches."""
     journal = settings.journal
     folders = {}
     if journal is not None and journal.keep_touches is not None:
@@ -86,7 +84,3 @@ def keys_of(gestures: Sequence[str]) -> dict[str, str]:
     ordered = sorted((gesture for gesture in gestures if gesture != NO_TOUCH), key=OTHER.__eq__)
     named = dict(zip(KEYS, ordered, strict=False))
     return named | ({NO_TOUCH_KEY: NO_TOUCH} if NO_TOUCH in gestures else {})
-
-
-def _labelled_in(folder: Path) -> int:
-    return sum(bool(kept.label) for kept in kept_touches(folder))

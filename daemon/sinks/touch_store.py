@@ -3,8 +3,8 @@
 JOURNAL.touches/TIME-NUMBER-COUNT.csv.gz, in our own layout, where TIME and NUMBER are those of the touch's
 `touch_began` in the journal (with - for : in file names), and COUNT rises from file to file. A file holds up
 to a second of rest, the touch from its true first frame to its last contact, and the quiet by which its end
-was detected. A labelled touch is in TIME-NUMBER-COUNT.GESTURE.csv.gz; later touches without a label do not
-displace it.
+was detected. What people said that a touch was is in the journal alone; later touches without a label do not
+displace one with a label.
 
 In the loop a frame costs two appends. A separate thread cuts, packs and writes, only after a touch, when
 the next answer is a second away or more.
@@ -16,7 +16,7 @@ import re
 from collections import defaultdict, deque
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 from typing import TypeAlias
@@ -27,6 +27,7 @@ from msgspec import UNSET
 from touchd.daemon.app.config import ConfigError, SensorSettings, Settings
 from touchd.daemon.path.events import Event, Label, SensorEvent, Tags, TouchBegan, TouchEnded
 from touchd.daemon.sinks.sink import QueuedSink
+from touchd.daemon.sinks.touches import TouchKey, read_labels
 from touchd.drivers.errors import os_errors_as
 from touchd.drivers.faults import FaultLog
 from touchd.drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, NO_TOUCH, Frame
@@ -39,8 +40,6 @@ from touchd.drivers.recording import (
     Recording,
     RecordingError,
     prepare,
-    read_provenance,
-    read_recordings,
     write_recordings,
 )
 from touchd.drivers.whole_file import PARTIAL
@@ -48,19 +47,14 @@ from touchd.drivers.whole_file import PARTIAL
 log = logging.getLogger(__name__)
 
 FOLDER_MODE = 0o750
-NAME = re.compile(
-    r"(\d{4}-\d\d-\d\dT\d\d)-(\d\d)-(\d\d\.\d{3}Z)-(\d+)(?:-(\d+))?(?:\.([\w-]+))?" + re.escape(SUFFIX)
-)
+TOUCHES = ".touches"
+NAME = re.compile(r"(\d{4}-\d\d-\d\dT\d\d)-(\d\d)-(\d\d\.\d{3}Z)-(\d+)-(\d+)" + re.escape(SUFFIX))
 LEAD_MS = 1000
 # Frames further apart than this are not contiguous.
 CUT_MS = 1000
 # A second of rest plus the longest time before a touch is detected, for pads of up to 500 Hz.
 RECENT_MS, RECENT_FRAMES = 3000, 1500
 LONGEST_FRAMES = round(60.0 * FRAME_RATE_HZ)
-# The line of provenance that says how many frames are before, in and after the touch.
-PIECES = "pieces"
-# Labels that wait for the end of their touch; one is usual.
-MOST_EARLY_LABELS = 8
 
 # Participant, substrate and cover.
 SetUp: TypeAlias = tuple[str, str, str]
@@ -154,50 +148,32 @@ def _is_from(ms: int, since_ms: int) -> bool:
 
 @dataclass(frozen=True, order=True)
 class KeptTouch:
-    """A touch in a store. count: rises with each touch. time, number: those of its `touch_began`.
-
-    label: what a person said that it was, "" if nobody has.
-    """
+    """A touch in a store. count: rises with each touch. time, number: those of its `touch_began`."""
 
     count: int
     time: str
     number: int
     path: Path
-    label: str = ""
 
     @property
-    def unlabelled_name(self) -> str:
-        """The name of its file before it had a label, which stays the same whatever the label."""
-        return self.path.name.replace(f".{self.label}{SUFFIX}", SUFFIX) if self.label else self.path.name
-
-
-@dataclass(frozen=True, eq=False)
-class KeptFrames:
-    """What a kept touch's file holds; rest before and quiet after it may be missing."""
-
-    before: Recording | None
-    touch: Recording
-    after: Recording | None
+    def key(self) -> TouchKey:
+        return self.time, self.number
 
 
 class TouchStore:
     """Writes touches to a folder and keeps the latest; a full disk loses touches, never stops the daemon.
 
-    most: number of touches to keep. sensor: describes the pad in the files. Raises RecordingError
-    when the folder cannot be used.
+    most: number of touches to keep, and as many with a label. sensor: describes the pad in the files.
+    labelled: touches with a label. Raises RecordingError when the folder cannot be used.
     """
 
-    def __init__(self, folder: Path, most: int, sensor: str) -> None:
+    def __init__(self, folder: Path, most: int, sensor: str, labelled: Iterable[TouchKey] = ()) -> None:
         self._folder = folder
         self._most = most
         self._sensor = sensor
         self._faults = FaultLog(log)
         self.lost = 0
-        # Files of this run's touches by number, which begins with 1 again in the next run; labels that came
-        # while their touch went on.
-        self._files: dict[int, Path] = {}
-        self._last = 0
-        self._early: dict[int, Label] = {}
+        self._labelled = set(labelled)
         with os_errors_as(RecordingError, f"{folder}: cannot be made", "give another journal.path"):
             # Like the journal, it is not world-readable.
             folder.mkdir(FOLDER_MODE, exist_ok=True)
@@ -214,33 +190,16 @@ class TouchStore:
             pieces = cut(touch)
             recordings = pieces.recordings(set_up_of(touch.began.tags))
             write_recordings(path, recordings, self._provenance(touch, pieces))
-            self._files[touch.began.touch] = path
             self._delete_oldest()
         except (OSError, RecordingError) as error:
             self.lost += 1
             self._faults.begin("lost", f"the frames of touches cannot be saved: {error}", cause=str(error))
         else:
             self._faults.end("lost", f"the frames of touches are saved again; those of {self.lost} were lost")
-        self._last = touch.began.touch
-        for number in [number for number in self._early if number <= self._last]:
-            self.label(self._early.pop(number))
 
     def label(self, label: Label) -> None:
-        """Write a label into the file of one of this run's touches; the label given last holds."""
-        number = label.touch
-        if number > self._last:
-            self._early[number] = label
-            if len(self._early) > MOST_EARLY_LABELS:
-                del self._early[next(iter(self._early))]
-            return
-        path = self._files.get(number)
-        try:
-            if path is None:
-                raise RecordingError("its frames are not kept")
-            self._files[number] = _labelled(path, label)
-            self._delete_oldest()
-        except (OSError, RecordingError) as error:
-            log.warning("the label of touch %d is in the journal alone: %s", number, error)
+        """Note that a touch has a label, also one that has not ended yet. Thread-safe."""
+        self._labelled.add((label.began, label.touch))
 
     def _delete_oldest(self) -> None:
         """Delete the oldest touches beyond the bound, which holds for those with a label and those without.
@@ -248,9 +207,9 @@ class TouchStore:
         One bound for both would let touches that nobody cared about displace a person's work.
         """
         kept = kept_touches(self._folder)
-        for own in ([each for each in kept if each.label], [each for each in kept if not each.label]):
+        for is_labelled in (True, False):
+            own = [each for each in kept if (each.key in self._labelled) == is_labelled]
             _delete(older.path for older in own[: -self._most])
-        self._files = {number: path for number, path in self._files.items() if path.exists()}
 
     def _take_over(self) -> int:
         """Remove partial files of a killed program, and return the last count that was written here."""
@@ -267,29 +226,7 @@ class TouchStore:
             "sensor": self._sensor,
             "rate": pieces.rate,
             "part": "the whole touch" if pieces.is_whole else "the beginning of a longer touch",
-            PIECES: f"{len(pieces.before)} {len(pieces.touch)} {len(pieces.after)}",
         }
-
-
-def _labelled(path: Path, label: Label) -> Path:
-    """Replace a touch's file by one with a label; returns its path. Raises OSError and RecordingError."""
-    kept = kept_touch(path)
-    if kept is None or kept.label == label.gesture:
-        return path
-    frames = read_frames(kept)
-    touch = replace(frames.touch, gesture=label.gesture)
-    parts = [part for part in (frames.before, touch, frames.after) if part is not None]
-    if label.gesture == NO_TOUCH:
-        # A false touch and the rest around it are the same gesture, so one recording.
-        counts = np.concatenate([part.counts for part in parts])
-        parts = [replace(touch, counts=counts, sensor_ms=np.concatenate([part.sensor_ms for part in parts]))]
-    labelled = path.with_name(f"{kept.unlabelled_name.removesuffix(SUFFIX)}.{label.gesture}{SUFFIX}")
-    provenance = read_provenance(path) | {"labelled": label.time}
-    # An undone label may have left one.
-    labelled.unlink(missing_ok=True)
-    write_recordings(labelled, parts, provenance)
-    path.unlink()
-    return labelled
 
 
 def set_up_of(tags: Tags) -> SetUp:
@@ -319,7 +256,7 @@ def _delete(files: Iterable[Path]) -> None:
 
 def folder_of(journal: Path, pad: str = DEFAULT_PAD) -> Path:
     """Return the folder with the frames of a journal's touches on a pad."""
-    return journal.with_name(f"{journal.name}{'' if pad == DEFAULT_PAD else f'.{pad}'}.touches")
+    return journal.with_name(f"{journal.name}{'' if pad == DEFAULT_PAD else f'.{pad}'}{TOUCHES}")
 
 
 def file_name(time: str, number: int, count: int) -> str:
@@ -331,58 +268,36 @@ def kept_touches(folder: Path) -> list[KeptTouch]:
 
     Raises RecordingError when it cannot be read.
     """
-    kept: list[KeptTouch] = []
     with os_errors_as(RecordingError, f"{folder}: cannot be read", "what the service keeps takes sudo"):
         try:
             with os.scandir(folder) as entries:
                 names = [entry.name for entry in entries if entry.is_file(follow_symlinks=False)]
         except FileNotFoundError:
             return []
-    kept = [touch for name in names if (touch := kept_touch(folder / name)) is not None]
-    # A power cut during labelling leaves the file without the label, too.
-    labelled = {touch.unlabelled_name for touch in kept if touch.label}
-    return sorted(touch for touch in kept if touch.label or touch.path.name not in labelled)
+    return sorted(touch for name in names if (touch := kept_touch(folder / name)) is not None)
 
 
 def kept_touch(path: Path) -> KeptTouch | None:
     """Return the touch that a file of this name holds; None if it is not a name of the store's."""
     if parts := NAME.fullmatch(path.name):
-        time = ":".join(parts.group(1, 2, 3))
-        return KeptTouch(int(parts[5] or 0), time, int(parts[4]), path, parts[6] or "")
+        return KeptTouch(int(parts[5]), ":".join(parts.group(1, 2, 3)), int(parts[4]), path)
     return None
 
 
-def read_frames(kept: KeptTouch) -> KeptFrames:
-    """Read a kept touch; raises RecordingError, also if it has just been deleted."""
-    parts = read_recordings(kept.path)
-    wanted = kept.label or UNLABELLED
-    place = next((i for i, part in enumerate(parts) if part.gesture == wanted), None)
-    if place is None:
-        raise RecordingError(f"{kept.path}: holds no touch as touchd keeps them")
-    if wanted == NO_TOUCH:
-        return _split(parts[place], read_provenance(kept.path).get(PIECES, ""))
-    before, after = parts[:place], parts[place + 1 :]
-    return KeptFrames(before[-1] if before else None, parts[place], after[0] if after else None)
+def labels_in(folder: Path) -> dict[str, str]:
+    """Return what people said that the touches in a store's folder were, by file name, from its journal.
+
+    Empty for any other folder. Raises RecordingError and JournalError when something cannot be read.
+    """
+    beside = folder.absolute().with_suffix("")
+    if folder.absolute().suffix != TOUCHES:
+        return {}
+    journal, pad = (beside, DEFAULT_PAD) if beside.exists() else (beside.with_suffix(""), beside.suffix[1:])
+    labels = read_labels(journal, pad)
+    return {kept.path.name: labels[kept.key] for kept in kept_touches(folder) if kept.key in labels}
 
 
-def _split(whole: Recording, pieces: str) -> KeptFrames:
-    """Split a touch labelled notouch, which its file holds as one recording, into its pieces again."""
-    lengths = [int(length) for length in pieces.split() if length.isdecimal()]
-    if len(lengths) != 3 or sum(lengths) != len(whole.counts) or not lengths[1]:
-        return KeptFrames(None, whole, None)
-    first, after = lengths[0], lengths[0] + lengths[1]
-
-    def piece(start: int, stop: int) -> Recording:
-        return replace(whole, counts=whole.counts[start:stop], sensor_ms=whole.sensor_ms[start:stop])
-
-    return KeptFrames(
-        piece(0, first) if first else None,
-        piece(first, after),
-        piece(after, after + lengths[2]) if lengths[2] else None,
-    )
-
-
-class TouchSink(QueuedSink[EndedTouch | Label]):
+class TouchSink(QueuedSink[EndedTouch]):
     """A sink that keeps the frames of touches on pads that have a store; it ignores other pads.
 
     Frames and the events that they cause must come from one thread, a frame before its events. Labels may
@@ -401,7 +316,7 @@ class TouchSink(QueuedSink[EndedTouch | Label]):
             self._pads[pad].take(frame)
 
     def put(self, item: Event | EndedTouch) -> None:
-        """Note that a touch began, or queue an ended touch or a label for writing; returns at once."""
+        """Note that a touch began or has a label, or queue an ended touch for writing; returns at once."""
         match item:
             case TouchBegan() if item.pad in self._pads:
                 self._pads[item.pad].begin(item)
@@ -410,16 +325,13 @@ class TouchSink(QueuedSink[EndedTouch | Label]):
                 if touch is not None:
                     super().put(touch)
             case Label() if item.pad in self._stores:
-                super().put(item)
+                self._stores[item.pad].label(item)
             case SensorEvent(state="down"):
                 # The next frames are another pad's, or its clock restarted.
                 self._pads.pop(item.pad, None)
 
-    def write(self, item: EndedTouch | Label) -> None:
-        if isinstance(item, Label):
-            self._stores[item.pad].label(item)
-        else:
-            self._stores[item.began.pad].add(item)
+    def write(self, item: EndedTouch) -> None:
+        self._stores[item.began.pad].add(item)
 
 
 class _PadFrames:
@@ -452,7 +364,10 @@ class _PadFrames:
 
 
 def keep_touches(settings: Settings) -> TouchSink:
-    """Return the sink that saves touches beside the journal, whose folder is there; raises ConfigError."""
+    """Return the sink that saves touches beside the journal, whose folder is there.
+
+    Raises ConfigError, and JournalError when an older journal cannot be read.
+    """
     journal = settings.journal
     assert journal is not None, "touches are saved beside a journal"
     assert journal.keep_touches is not None, "the journal keeps touches"
@@ -460,7 +375,8 @@ def keep_touches(settings: Settings) -> TouchSink:
     for name, pad in settings.pads.items():
         try:
             folder, what = folder_of(journal.file, name), description_of(pad.sensor)
-            stores[name] = TouchStore(folder, journal.keep_touches, what)
+            labelled = read_labels(journal.file, name)
+            stores[name] = TouchStore(folder, journal.keep_touches, what, labelled)
         except RecordingError as error:
             raise ConfigError(f"journal.keep_touches: {error}") from error
     return TouchSink(stores)

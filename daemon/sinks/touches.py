@@ -4,18 +4,24 @@ import os
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
+from typing import TypeAlias
 
 import msgspec
 
-from touchd.daemon.path.events import Event, Prediction, TouchBegan, TouchEnded, epoch_s
-from touchd.daemon.sinks.journal import MAX_LINE_BYTES, JournalError
+from touchd.daemon.path.events import Event, Label, Prediction, TouchBegan, TouchEnded, epoch_s
+from touchd.daemon.sinks.journal import FIRST_BYTES, MAX_LINE_BYTES, JournalError
 from touchd.drivers.errors import os_errors_as
 from touchd.drivers.whole_file import without_waiting
 
 # Only the end of a journal is read, thousands of touches; a journal may have gigabytes.
 TAIL_BYTES = 4_000_000
+# The beginning of a label's line.
+LABEL = FIRST_BYTES + b'label"'
 # The year 2500: earlier times fit into the nanoseconds of every format that touchd writes.
 LAST_S = 16_725_225_600.0
+
+# The time and number of a touch's `touch_began`; numbers begin with 1 again after a restart.
+TouchKey: TypeAlias = tuple[str, int]
 
 
 class EventError(ValueError):
@@ -64,11 +70,13 @@ def decode(line: bytes | str) -> Event:
     return event
 
 
-def read_events(path: Path, last_bytes: int | None = None) -> tuple[list[Event], list[EventError]]:
+def read_events(
+    path: Path, last_bytes: int | None = None, begin: bytes = b""
+) -> tuple[list[Event], list[EventError]]:
     """Parse a journal into events and errors; a last line without its end is left for later.
 
-    last_bytes: read only this much of the end, from its first whole line on. Raises JournalError;
-    FileNotFoundError is its cause when there is no file.
+    last_bytes: read only this much of the end, from its first whole line on. begin: of the lines to read.
+    Raises JournalError; FileNotFoundError is its cause when there is no file.
     """
     events: list[Event] = []
     wrong: list[EventError] = []
@@ -78,6 +86,8 @@ def read_events(path: Path, last_bytes: int | None = None) -> tuple[list[Event],
             file.seek(-last_bytes, os.SEEK_END)
             file.readline()
         while line := file.readline(MAX_LINE_BYTES):
+            if not line.startswith(begin):
+                continue
             if line.endswith(b"\n"):
                 try:
                     events.append(decode(line))
@@ -98,27 +108,26 @@ def read_journal(path: Path) -> list[ReportedTouch]:
     return gather(events)
 
 
-def read_since(path: Path, time: str) -> list[ReportedTouch]:
-    """Return the touches of a journal that began at a time (as in events) or later, oldest first.
+def read_labels(path: Path, pad: str) -> dict[TouchKey, str]:
+    """Return what people said that the touches on a pad were: the label that was given last.
 
-    Also reads older files (path.1 and so on), as far back as needed; skips half lines and lines without an
-    event. Raises JournalError when a file is there and cannot be read.
+    Also reads older files (path.1 and so on); skips half lines and lines without an event. Raises
+    JournalError when a file is there and cannot be read.
     """
-    since: list[Event] = []
-    # Resolve a symlink: the older files are beside its target.
+    labels: dict[TouchKey, str] = {}
+    # Resolve a symlink: the older files are beside its target. The newest first: one that is rotated
+    # meanwhile is read twice rather than not at all.
     for file in _newest_first(path.resolve()):
         try:
-            events, _ = read_events(file)
+            events, _ = read_events(file, begin=LABEL)
         except JournalError as error:
             # Just rotated away, or not there yet.
             if isinstance(error.__cause__, FileNotFoundError):
                 continue
             raise
-        since = [event for event in events if event.time >= time] + since
-        # Look at the newest event: a computer without a battery-backed clock starts in 1970.
-        if events and max(event.time for event in events) < time:
-            break
-    return [touch for touch in gather(since) if touch.began.time >= time]
+        found = (event for event in events if isinstance(event, Label) and event.pad == pad)
+        labels = {(label.began, label.touch): label.gesture for label in found} | labels
+    return labels
 
 
 def _newest_first(path: Path) -> list[Path]:

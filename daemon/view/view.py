@@ -162,11 +162,11 @@ class View:
             return
         gesture = keys_of(self.labeller.gestures[self._shown_pad]).get(key)
         with self._lock:
-            touch = self._touches[-1].began.touch if self._touches else None
+            touch = self._touches[-1].began if self._touches else None
         if gesture is None or touch is None:
             return
         try:
-            if advice := self.labeller.label(self._shown_pad, touch, gesture):
+            if advice := self.labeller.label(touch, gesture):
                 self.note(advice)
         except LabelError as error:
             self.note(str(error), is_bad=True)

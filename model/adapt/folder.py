@@ -34,6 +34,7 @@ GESTURE = re.compile(rf"[A-Za-z0-9][A-Za-z0-9_-]{{0,{LONGEST_LABEL - 1}}}")
 RESERVED = "uncertain"
 # Why a saved touch is passed over.
 NO_LABEL, CUT_SHORT = "without a label", "cut short by a gap, another touch or touchd's end"
+NO_LABELS: Mapping[str, str] = {}
 
 
 class ExtraError(TouchdError):
@@ -52,13 +53,15 @@ def read_folder(folder: Path, known: Sequence[str], keep_all: bool = False) -> l
     return read_all(folder, known, keep_all).recordings
 
 
-def read_all(folder: Path, known: Sequence[str], keep_all: bool = False) -> Read:
+def read_all(
+    folder: Path, known: Sequence[str], keep_all: bool = False, labels: Mapping[str, str] = NO_LABELS
+) -> Read:
     """Return all recordings as whole scans at 54 Hz, in the order of the file names.
 
     A short touch comes with the rest around it: see `InPassing`. If the pad rests high, the rest is
     subtracted, as the daemon does for the network: see `as_known`.
-    known: gestures of the model to adapt. keep_all: whether it keeps those without recordings.
-    Raises ExtraError.
+    known: gestures of the model to adapt. keep_all: whether it keeps those without recordings. labels: of
+    saved touches, by file name. Raises ExtraError.
     """
     recordings: list[Recording] = []
     first_of: dict[bytes, Path] = {}
@@ -68,7 +71,7 @@ def read_all(folder: Path, known: Sequence[str], keep_all: bool = False) -> Read
     if not files:
         raise ExtraError(f"{folder}: holds no recordings; make some with `touchd record {folder}`")
     for path in files:
-        parts = [realign(part) for part in read_file(path)]
+        parts = _labelled([realign(part) for part in read_file(path)], labels.get(path.name, UNLABELLED))
         if any(part.gesture == UNLABELLED for part in parts):
             passed_over[NO_LABEL] += 1
             continue
@@ -87,11 +90,20 @@ def read_all(folder: Path, known: Sequence[str], keep_all: bool = False) -> Read
             recordings.append(recording)
     if not recordings and passed_over[NO_LABEL]:
         raise ExtraError(
-            f"{folder}: nobody has said what its touches were; do, on the live page (live.label) or with "
-            "`touchd run --view`"
+            f"{folder}: nobody has said what its touches were, or the journal that says it is not beside the "
+            "folder; label touches on the live page (live.label) or with `touchd run --view`"
         )
     _check_gestures(folder, {recording.gesture for recording in recordings}, known, keep_all)
     return Read(_as_known(_by_the_only_one(recordings)), +passed_over)
+
+
+def _labelled(parts: list[Recording], label: str) -> list[Recording]:
+    """Label a saved touch; a false touch and the rest around it are one recording."""
+    named = [replace(part, gesture=label) if part.gesture == UNLABELLED else part for part in parts]
+    if label != NO_TOUCH:
+        return named
+    counts = np.concatenate([part.counts for part in parts])
+    return [replace(named[0], counts=counts, sensor_ms=np.concatenate([part.sensor_ms for part in parts]))]
 
 
 def _by_the_only_one(recordings: Sequence[Recording]) -> list[Recording]:

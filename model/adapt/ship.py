@@ -15,7 +15,7 @@ from touchd.drivers.errors import os_errors_as
 from touchd.drivers.frame import FRAME_RATE_HZ
 from touchd.drivers.whole_file import whole_file
 from touchd.model.adapt.adapt import Adapted, Pretrained, adapt, prepare
-from touchd.model.adapt.folder import read_all
+from touchd.model.adapt.folder import NO_LABELS, read_all
 from touchd.model.adapt.head import AdaptSettings
 from touchd.model.adapt.optimise import one_torch_thread
 from touchd.model.adapt.output import OutputError, check_output, code_version, data_hash, model_name
@@ -23,15 +23,21 @@ from touchd.model.classifier import METADATA_KEY, SHIPPED_MODEL, ModelMetadata
 from touchd.model.settings import LENGTHS, MAX_LENGTH
 
 
-def adapt_folder(extra: Path, output: Path, settings: AdaptSettings, keep_all: bool = False) -> Adapted:
+def adapt_folder(
+    extra: Path,
+    output: Path,
+    settings: AdaptSettings,
+    keep_all: bool = False,
+    labels: Mapping[str, str] = NO_LABELS,
+) -> Adapted:
     """Adapt the shipped network to a folder of recordings and write it to `output`, a new .onnx file.
 
-    keep_all: keep the known gestures that the folder lacks. Raises ExtraError; raises OutputError before any
-    work if `output` cannot be written.
+    keep_all: keep the known gestures that the folder lacks. labels: see `read_all`. Raises
+    ExtraError; raises OutputError before any work if `output` cannot be written.
     """
     check_output(output)
     pretrained = Pretrained.shipped()
-    recordings, passed_over = read_all(extra, pretrained.labels, keep_all)
+    recordings, passed_over = read_all(extra, pretrained.labels, keep_all, labels)
     # One thread makes sums reproducible; a head is too small for more.
     with one_torch_thread():
         adapted = adapt(pretrained, prepare(pretrained, recordings, settings), settings, keep_all)

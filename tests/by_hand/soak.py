@@ -47,11 +47,11 @@ from touchd.daemon.sinks.touch_store import (
     description_of,
     folder_of,
     kept_touches,
-    read_frames,
 )
 from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.frame import FRAME_RATE_HZ, SensorState
 from touchd.drivers.pad.protocol import parser_of
+from touchd.drivers.recording import read_recordings
 from touchd.drivers.robot.link import RobotLink
 from touchd.drivers.robot.session import RobotSettings
 
@@ -240,7 +240,7 @@ class Soak:
             "the last touches are kept, no more than asked for, and can be read": (
                 len(kept) == min(TOUCHES_KEPT, self.audit.touches)
                 and self._store.lost + self._touch_sink.dropped == 0
-                and all(read_frames(touch).touch.counts.size for touch in kept)
+                and all(read_recordings(touch.path) for touch in kept)
             ),
             "the pad's state is there whenever a broker comes": self.broker.states == self.broker.times,
         }

@@ -8,8 +8,9 @@ import time
 from pathlib import Path
 
 import pytest
-from rigs.ended_touch import ended_touch
+from msgspec.structs import replace
 from rigs.expectations import LENGTHS
+from rigs.made_events import touch
 from rigs.patient_port import playing
 from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S, wait_for
@@ -20,7 +21,7 @@ from touchd.daemon.path.events import Event, Label, encode
 from touchd.daemon.path.service import Service
 from touchd.daemon.robot.words import vocabulary
 from touchd.daemon.sinks.labels import LabelError, Labeller, keys_of
-from touchd.daemon.sinks.touch_store import TouchStore, folder_of, kept_touches
+from touchd.daemon.sinks.touch_store import folder_of, kept_touches, labels_in
 from touchd.daemon.sinks.touches import decode
 from touchd.daemon.view.view import View
 
@@ -29,18 +30,18 @@ GESTURES = ("notouch", "pat", "stroke")
 
 def test_a_label_is_an_event_like_any_other() -> None:
     events: list[Event] = []
-    Labeller(events.append, {"left": GESTURES}, {}).label("left", 7, "pat")
+    Labeller(events.append, {"left": GESTURES}, {}).label(replace(touch(7), pad="left"), "pat")
     (label,) = events
     assert isinstance(label, Label)
-    assert (label.pad, label.touch, label.gesture) == ("left", 7, "pat")
+    assert (label.pad, label.touch, label.began, label.gesture) == ("left", 7, touch(7).time, "pat")
     assert decode(encode(label)) == label
 
 
-@pytest.mark.parametrize(("pad", "gesture"), [("right", "pat"), ("left", "hug"), ("left", "")])
-def test_a_label_of_something_unknown_is_refused(pad: str, gesture: str) -> None:
+@pytest.mark.parametrize("gesture", ["hug", ""])
+def test_a_label_of_something_unknown_is_refused(gesture: str) -> None:
     events: list[Event] = []
     with pytest.raises(LabelError):
-        Labeller(events.append, {"left": GESTURES}, {}).label(pad, 7, gesture)
+        Labeller(events.append, {"pad": GESTURES}, {}).label(touch(7), gesture)
     assert events == []
 
 
@@ -50,19 +51,15 @@ def test_the_gestures_keys_do_not_depend_on_other() -> None:
 
 
 def test_each_ten_labelled_touches_say_how_to_learn(tmp_path: Path) -> None:
-    store = TouchStore(tmp_path / "a b", 100, "")
-    for number in range(1, 4):
-        store.add(ended_touch(number))
-        store.label(Label(touch=number, gesture="pat", time=""))
     labeller = Labeller(lambda _: None, {"pad": GESTURES}, {"pad": tmp_path / "a b"})
-    said = [labeller.label("pad", touch, "pat") for touch in (1, 2, 2, 2, 3, 4, 5, 6, 7, 8)]
-    assert [bool(line) for line in said] == [False] * 8 + [True, False]
-    assert f"train --keep-all --extra '{tmp_path}/a b'" in said[8]
+    said = [labeller.label(touch(number), "pat") for number in (1, 2, 2, 2, *range(3, 21))]
+    assert [bool(line) for line in said] == [*[False] * 11, True, *[False] * 9, True]
+    assert f"train --keep-all --extra '{tmp_path}/a b'" in said[11]
 
 
 def test_without_kept_frames_it_says_how_to_keep_them() -> None:
     labeller = Labeller(lambda _: None, {"pad": GESTURES}, {})
-    said = [labeller.label("pad", touch, "pat") for touch in range(10)]
+    said = [labeller.label(touch(number), "pat") for number in range(10)]
     assert "journal.keep_touches" in said[-1]
 
 
@@ -75,7 +72,7 @@ def test_labels_from_the_terminal_and_the_page_are_counted_together() -> None:
     assert page is not None
     assert view.labeller is not None
     takers = itertools.cycle([page, view.labeller])
-    said = [next(takers).label("pad", touch, "pat") for touch in range(10)]
+    said = [next(takers).label(touch(number), "pat") for number in range(10)]
     assert [bool(line) for line in said] == [False] * 9 + [True]
     assert service.parts.live is not None
     service.parts.live.stop(1.0)
@@ -95,12 +92,12 @@ def test_a_key_says_what_the_touch_on_the_screen_was(tmp_path: Path) -> None:
                 os.write(terminal._master, keys)
                 time.sleep(0.3)
             terminal.until("touch 1 was: Tätscheln")
-            wait_for(lambda: any(kept.label for kept in kept_touches(folder_of(journal))))
+            wait_for(lambda: labels_in(folder_of(journal)))
             terminal.process.send_signal(signal.SIGINT)
             assert terminal.process.wait(WITHIN_S) == 0
             # The terminal echoes again.
             assert termios.tcgetattr(terminal._master)[3] & termios.ECHO
     labels = [event for line in journal.open("rb") if isinstance(event := decode(line), Label)]
     assert [(label.touch, label.gesture) for label in labels] == [(1, "pat")]
-    kept = kept_touches(folder_of(journal))
-    assert [(touch.number, touch.label) for touch in kept if touch.label] == [(1, "pat")]
+    first = kept_touches(folder_of(journal))[0]
+    assert labels_in(folder_of(journal)) == {first.path.name: "pat"}

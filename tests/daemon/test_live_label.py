@@ -13,7 +13,6 @@ from rigs.running_daemon import Daemon
 from rigs.wait import WITHIN_S, wait_for
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
-from selenium.webdriver.remote.webelement import WebElement
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request
@@ -103,24 +102,20 @@ def test_a_touch_of_the_list_is_labelled_as_well(chrome: Chrome, labelled: Label
     labelled.touch(2)
     show_in(chrome, 1280, 800)
     chrome.get(f"http://127.0.0.1:{labelled.port}/")
-    listed = wait_for(
-        lambda: len(found := chrome.find_elements(By.CSS_SELECTOR, "#touches button")) == 2 and found
-    )
-    listed[1].click()
+    rows = "return [...document.querySelectorAll('#touches li')].map((row) => row.innerText.includes('rub'))"
+    wait_for(lambda: chrome.execute_script(rows) == [False, False])
+    # Rows are made again whenever an event arrives.
+    chrome.execute_script("document.querySelector('#touches li + li button').click()")
     wait_for(lambda: chrome.find_element(By.CSS_SELECTOR, "#labels legend").text == "Touch 1 was")
     buttons = chrome.find_elements(By.CSS_SELECTOR, "#labels button")
     next(button for button in buttons if button.text == "rub").click()
-    wait_for(lambda: ["rub" in row.text for row in rows(chrome)] == [False, True])
+    wait_for(lambda: chrome.execute_script(rows) == [False, True])
     # The next label is the last touch's again.
     assert chrome.find_element(By.CSS_SELECTOR, "#labels legend").text == "That was"
     next(button for button in buttons if button.text == "pat").click()
     wait_for(lambda: len(labelled.events) == 2)
     labels = [event for event in labelled.events if isinstance(event, Label)]
     assert [(label.touch, label.gesture) for label in labels] == [(1, "rub"), (2, "pat")]
-
-
-def rows(chrome: Chrome) -> list[WebElement]:
-    return chrome.find_elements(By.CSS_SELECTOR, "#touches li")
 
 
 def test_after_ten_labels_the_page_says_how_to_learn(chrome: Chrome, labelled: Labelled) -> None:

@@ -13,19 +13,27 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from rigs.ended_touch import ended_touch
+from rigs.ended_touch import ended_touch, read_frames
 from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 from rigs.programs import Program
 from rigs.scripted_model import Scripted
 from rigs.small_disk import log_on_small_disk, needs_small_disk
 from rigs.wait import WITHIN_S
 
-from touchd.daemon.app.config import ConfigError, JournalSettings, SensorSettings, Settings
-from touchd.daemon.path.events import Event, Label, PadState, SensorEvent, TouchBegan, TouchEnded, timestamp
+from touchd.daemon.app.config import ConfigError, JournalSettings, PadSettings, SensorSettings, Settings
+from touchd.daemon.path.events import (
+    Event,
+    Label,
+    PadState,
+    SensorEvent,
+    TouchBegan,
+    TouchEnded,
+    encode,
+    timestamp,
+)
 from touchd.daemon.path.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.daemon.sinks.touch_store import (
     LONGEST_FRAMES,
-    PIECES,
     EndedTouch,
     KeptTouch,
     TouchSink,
@@ -37,17 +45,14 @@ from touchd.daemon.sinks.touch_store import (
     keep_touches,
     kept_touch,
     kept_touches,
-    read_frames,
+    labels_in,
 )
-from touchd.drivers.frame import NO_TOUCH, Frame
+from touchd.drivers.frame import DEFAULT_PAD, NO_TOUCH, Frame
 from touchd.drivers.recording import (
-    SUFFIX,
     UNLABELLED,
-    Recording,
     RecordingError,
     read_provenance,
     read_recordings,
-    write_recordings,
 )
 from touchd.drivers.whole_file import PARTIAL
 
@@ -234,70 +239,55 @@ def test_only_the_last_touches_are_kept(tmp_path: Path) -> None:
     assert [kept.number for kept in kept_touches(tmp_path)] == [100, 101, 102, 103, 104]
 
 
-def said(number: int, gesture: str) -> Label:
-    return Label(touch=number, gesture=gesture, time=timestamp(0.0))
+def said(number: int, gesture: str, pad: str = DEFAULT_PAD) -> Label:
+    """Return what a person said of a touch that `ended_touch` made."""
+    began = ended_touch(number).began.time
+    return Label(touch=number, began=began, gesture=gesture, time=timestamp(0.0), pad=pad)
 
 
-@pytest.mark.parametrize("gesture", ["constant", "stroke", NO_TOUCH])
-def test_a_label_stands_in_the_touchs_file(store: TouchStore, tmp_path: Path, gesture: str) -> None:
-    store.add(ended_touch(1))
-    (before,) = kept_touches(tmp_path / "touches")
-    frames = read_frames(before)
-    store.label(said(1, "pat"))
-    store.label(said(1, gesture))
-    (kept,) = kept_touches(tmp_path / "touches")
-    assert kept.label == gesture
-    assert kept.path.name == before.path.name.replace(".csv.gz", f".{gesture}.csv.gz")
-    assert {part.gesture for part in read_recordings(kept.path)} == {gesture, NO_TOUCH}
-    for part, old in zip(
-        (read_frames(kept).before, read_frames(kept).touch, read_frames(kept).after),
-        (frames.before, frames.touch, frames.after),
-        strict=True,
-    ):
-        assert part is not None
-        assert old is not None
-        np.testing.assert_array_equal(part.counts, old.counts)
-        np.testing.assert_array_equal(part.sensor_ms, old.sensor_ms)
-    assert os.listdir(tmp_path / "touches") == [kept.path.name]
-
-
-def test_a_label_given_during_the_touch_is_kept(bench: StoreBench) -> None:
-    bench.feel(palm(0.5))
-    bench.sink.put(said(1, "pat"))
-    bench.feel(palm(0.5), nothing(1.5), palm(0.5), nothing(1.5))
-    assert [kept.label for kept in bench.end()] == ["pat", ""]
-
-
-def test_later_touches_do_not_displace_labelled_ones(tmp_path: Path) -> None:
-    store = TouchStore(tmp_path, 5, "")
+@pytest.mark.parametrize("restarts", [False, True])
+def test_later_touches_do_not_displace_labelled_ones(tmp_path: Path, restarts: bool) -> None:
+    store, labels = TouchStore(tmp_path, 5, ""), set()
     for number in range(1, 30):
-        store.add(ended_touch(number, rest_frames=0))
         if number <= 6:
+            # Also while the touch goes on.
             store.label(said(number, "pat"))
-    kept = kept_touches(tmp_path)
-    assert [touch.number for touch in kept if touch.label] == [2, 3, 4, 5, 6]
-    assert [touch.number for touch in kept if not touch.label] == [25, 26, 27, 28, 29]
+            labels.add((said(number, "pat").began, number))
+        if restarts and number == 10:
+            store = TouchStore(tmp_path, 5, "", labels)
+        store.add(ended_touch(number, rest_frames=0))
+    assert [touch.number for touch in kept_touches(tmp_path)] == [2, 3, 4, 5, 6, 25, 26, 27, 28, 29]
 
 
-def test_a_label_without_frames_is_said_once(
-    store: TouchStore, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    store.label(said(3, "pat"))
-    store.add(ended_touch(4))
-    store.add(ended_touch(5))
-    assert [record.getMessage() for record in caplog.records] == [
-        "the label of touch 3 is in the journal alone: its frames are not kept"
-    ]
-    assert [kept.label for kept in kept_touches(tmp_path / "touches")] == ["", ""]
+@pytest.mark.parametrize("pad", [DEFAULT_PAD, "left"])
+def test_labels_are_read_from_the_journal_beside(tmp_path: Path, pad: str) -> None:
+    journal = tmp_path / "events.jsonl"
+    folder = folder_of(journal, pad)
+    assert labels_in(folder) == {}
+    store = TouchStore(folder, 20, "")
+    for number in (1, 2, 3, 4):
+        store.add(ended_touch(number))
+    lines = [said(1, "rub", pad), said(1, "pat", pad), said(2, "pat", "other"), said(9, "pat", pad)]
+    journal.with_name("events.jsonl.1").write_bytes(b"".join(encode(label) + b"\n" for label in lines))
+    # The number of another run's touch.
+    other = msgspec.structs.replace(said(4, "pat", pad), began=timestamp(0.0))
+    lines = [said(3, NO_TOUCH, pad), other]
+    journal.write_bytes(
+        b"no event\n" + b"".join(encode(label) + b"\n" for label in lines) + b'{"type":"label'
+    )
+    assert {int(name.split("-")[-2]): label for name, label in labels_in(folder).items()} == {
+        1: "pat",
+        3: NO_TOUCH,
+    }
+    settings = Settings(journal=JournalSettings(path=str(journal), keep_touches=3), sensors=sensors_of(pad))
+    sink = keep_touches(settings)
+    assert sink._stores[pad]._labelled == {(said(number, "").began, number) for number in (1, 3, 9)} | {
+        (timestamp(0.0), 4)
+    }
 
 
-def test_a_power_cut_while_labelling_shows_the_touch_once(store: TouchStore, tmp_path: Path) -> None:
-    store.add(ended_touch(1))
-    (kept,) = kept_touches(tmp_path / "touches")
-    unlabelled = kept.path.read_bytes()
-    store.label(said(1, "pat"))
-    kept.path.write_bytes(unlabelled)
-    assert [touch.label for touch in kept_touches(tmp_path / "touches")] == ["pat"]
+def sensors_of(pad: str) -> dict[str, PadSettings]:
+    return {} if pad == DEFAULT_PAD else {pad: PadSettings(port="/dev/pad")}
 
 
 def test_tags_say_who_touched_what(store: TouchStore, tmp_path: Path) -> None:
@@ -369,8 +359,8 @@ def test_keeping_a_frame_takes_the_loop_little_time(store: TouchStore) -> None:
 FILL_A_SMALL_DISK = """
 import logging, sys
 from pathlib import Path
-from rigs.ended_touch import ended_touch
-from touchd.daemon.sinks.touch_store import TouchStore, kept_touches, read_frames
+from rigs.ended_touch import ended_touch, read_frames
+from touchd.daemon.sinks.touch_store import TouchStore, kept_touches
 logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s")
 folder = Path(sys.argv[1]) / "touches"
 ballast = Path(sys.argv[1]) / "ballast"
@@ -531,81 +521,23 @@ def test_a_folder_that_fails_loses_touches_and_says_so_once(
     assert store.lost == 2
     folder.unlink()
     store.add(ended_touch(4))
-    store.label(said(3, "pat"))
-    store.label(said(4, "rub"))
-    failed, again, unlabelled = caplog.messages
+    failed, again = caplog.messages
     assert failed.startswith("the frames of touches cannot be saved: ")
     assert again.startswith("the frames of touches are saved again; those of 2 were lost")
-    assert unlabelled == "the label of touch 3 is in the journal alone: its frames are not kept"
-    assert [(kept.number, kept.label) for kept in kept_touches(folder)] == [(4, "rub")]
-
-
-def test_labels_wait_for_their_touches_but_only_the_latest(store: TouchStore, tmp_path: Path) -> None:
-    for number in range(1, 11):
-        store.label(said(number, f"own-{number}"))
-    for number in range(1, 11):
-        store.add(ended_touch(number))
-    labels = [kept.label for kept in kept_touches(tmp_path / "touches")]
-    assert sorted(labels) == sorted(["", "", *(f"own-{number}" for number in range(3, 11))])
-
-
-def test_a_touch_labelled_again_as_before_stays_as_it_is(store: TouchStore, tmp_path: Path) -> None:
-    store.add(ended_touch(1, rest_frames=0))
-    for _ in range(2):
-        store.label(said(1, NO_TOUCH))
-        (kept,) = kept_touches(tmp_path / "touches")
-        frames = read_frames(kept)
-        assert (frames.before, len(frames.touch.counts), frames.after) == (None, 20, None)
-    assert read_provenance(kept.path)["labelled"] == timestamp(0.0)
-    with pytest.raises(RecordingError, match="holds no touch as touchd keeps them"):
-        read_frames(replace(kept, label="pat"))
-
-
-@pytest.mark.parametrize(
-    ("pieces", "lengths"),
-    [
-        ("10 20 10", (10, 20, 10)),
-        ("0 20 20", (0, 20, 20)),
-        ("20 20 0", (20, 20, 0)),
-        ("", (0, 40, 0)),
-        ("20 20", (0, 40, 0)),
-        ("10 10 10 10", (0, 40, 0)),
-        ("10 20 11", (0, 40, 0)),
-        ("10 20 9", (0, 40, 0)),
-        ("20 0 20", (0, 40, 0)),
-        ("x 20 20", (0, 40, 0)),
-    ],
-)
-def test_a_false_touch_is_found_in_its_file_if_the_file_says_where(
-    tmp_path: Path, pieces: str, lengths: tuple[int, int, int]
-) -> None:
-    path = tmp_path / f"2026-11-20T10-00-01.250Z-7-31.{NO_TOUCH}{SUFFIX}"
-    whole = Recording(*[UNLABELLED] * 3, NO_TOUCH, np.zeros((40, 8, 8), np.uint16), np.arange(40), "live")
-    write_recordings(path, [whole], {PIECES: pieces})
-    (kept,) = kept_touches(tmp_path)
-    frames = read_frames(kept)
-    parts = (frames.before, frames.touch, frames.after)
-    assert tuple(0 if part is None else len(part.counts) for part in parts) == lengths
-    times_ms = [ms for part in parts if part is not None for ms in part.sensor_ms.tolist()]
-    assert times_ms == list(range(40))
+    assert [kept.number for kept in kept_touches(folder)] == [4]
 
 
 @pytest.mark.parametrize(
     ("name", "touch"),
     [
-        ("2026-11-20T10-00-01.250Z-7-31.csv.gz", (31, "2026-11-20T10:00:01.250Z", 7, "")),
-        (
-            "2026-11-20T10-00-01.250Z-7-31.my-own_pat.csv.gz",
-            (31, "2026-11-20T10:00:01.250Z", 7, "my-own_pat"),
-        ),
-        ("2026-11-20T10-00-01.250Z-7.csv.gz", (0, "2026-11-20T10:00:01.250Z", 7, "")),
+        ("2026-11-20T10-00-01.250Z-7-31.csv.gz", (31, "2026-11-20T10:00:01.250Z", 7)),
+        ("2026-11-20T10-00-01.250Z-7.csv.gz", None),
+        ("anna_foam_fur_rub_1.csv.gz", None),
     ],
 )
-def test_a_files_name_says_which_touch_it_holds(name: str, touch: tuple[int, str, int, str]) -> None:
+def test_a_files_name_says_which_touch_it_holds(name: str, touch: tuple[int, str, int] | None) -> None:
     kept = kept_touch(Path("folder") / name)
-    assert kept is not None
-    assert (kept.count, kept.time, kept.number, kept.label) == touch
-    assert kept.unlabelled_name == name.replace(".my-own_pat", "")
+    assert (kept and (kept.count, kept.time, kept.number)) == touch
 
 
 def test_a_folder_that_is_missing_holds_no_touches(tmp_path: Path) -> None:
@@ -631,7 +563,7 @@ def test_other_pads_and_forgotten_frames_are_not_kept(store: TouchStore, tmp_pat
             sink.put_frame(frame, pad)
     sink.put(msgspec.structs.replace(touch.began, pad="other"))
     sink.put(msgspec.structs.replace(touch.ended, pad="other"))
-    sink.put(msgspec.structs.replace(said(1, "pat"), pad="other"))
+    sink.put(said(1, "pat", "other"))
     sink.put(touch.began)
     sink.put(SensorEvent(state="down", time="", pad="other"))
     sink.put(touch.ended)
@@ -639,7 +571,7 @@ def test_other_pads_and_forgotten_frames_are_not_kept(store: TouchStore, tmp_pat
     sink.put(SensorEvent(state="down", time=""))
     sink.put(msgspec.structs.replace(touch.ended, touch=2))
     sink.stop(WITHIN_S)
-    assert [(kept.number, kept.label) for kept in kept_touches(tmp_path / "touches")] == [(1, "")]
+    assert [kept.number for kept in kept_touches(tmp_path / "touches")] == [1]
 
 
 def test_a_pad_off_54_hz_is_kept_as_sent(tmp_path: Path) -> None:

@@ -24,11 +24,12 @@ from touchd.daemon.app import cli  # noqa: E402
 from touchd.daemon.app.config import Settings, load  # noqa: E402
 from touchd.daemon.commands import teach  # noqa: E402
 from touchd.daemon.doctor.machine import check_model  # noqa: E402
+from touchd.daemon.path.events import Label, encode  # noqa: E402
 from touchd.drivers.fakes.hand import simulate  # noqa: E402
 from touchd.drivers.recording import Recording, ideal_clock_ms, write_recordings  # noqa: E402
 from touchd.model.adapt.adapt import Adapted, Features, Pretrained, adapt, logits, prepare  # noqa: E402
 from touchd.model.adapt.backbone import CropFeatures, ended, windows  # noqa: E402
-from touchd.model.adapt.folder import ExtraError, read_folder  # noqa: E402
+from touchd.model.adapt.folder import ExtraError, read_all, read_folder  # noqa: E402
 from touchd.model.adapt.head import AdaptSettings, fit, rebuilt  # noqa: E402
 from touchd.model.adapt.measure import Answers, compare, mean_interval, paired_interval, wilson_interval  # noqa: E402
 from touchd.model.adapt.output import model_name  # noqa: E402
@@ -548,6 +549,11 @@ def saved(folder: Path, touches: Iterable[Sequence[Recording]]) -> Path:
     return folder
 
 
+def unlabelled(parts: Sequence[Recording]) -> list[Recording]:
+    before, touch, after = parts
+    return [before, replace(touch, gesture="unlabelled"), after]
+
+
 def test_a_short_touch_is_read_with_the_rest_around_it(tmp_path: Path) -> None:
     lab = saved(tmp_path / "lab", [passing("pat", 12), passing("stroke", 40, 1)])
     pat, stroke = read_folder(lab, ())
@@ -580,18 +586,34 @@ def test_train_counts_the_saved_touches_that_it_passes_over(
 ) -> None:
     monkeypatch.setattr(Pretrained, "shipped", lambda: pretrained)
     monkeypatch.setattr(AdaptSettings, "steps", 1, raising=False)
-    before, touch, after = passing("rub", 30, 5)
-    nobody = [before, replace(touch, gesture="unlabelled"), after]
+    nobody = unlabelled(passing("rub", 30, 5))
     names = [("pat", 12, 0), ("stroke", 40, 1), ("pat", 15, 2), ("stroke", 30, 3)]
     cut_short = passing("pat", 20, 4, after=0)
-    lab = saved(tmp_path / "lab", [*(passing(*name) for name in names), nobody, cut_short])
+    touches = [*(passing(*name) for name in names), nobody, unlabelled(passing("rub", 20, 6)), cut_short]
+    lab = saved(tmp_path / "events.jsonl.touches", touches)
+    began, now = "2026-11-20T10:00:05.000Z", "2026-11-20T11:00:00.000Z"
+    label = Label(touch=1, began=began, gesture="stroke", time=now)
+    (tmp_path / "events.jsonl").write_bytes(encode(label) + b"\n")
     assert cli.main(["train", "--extra", str(lab), "--output", str(tmp_path / "a.onnx"), "--keep-all"]) == 0
     said = capsys.readouterr().out
     assert "Passed over: 1 saved touch without a label" in said
     assert "Passed over: 1 saved touch cut short" in said
     assert "Touches in passing, answered once the hand has gone" in said
-    assert "4 recordings of 2 gestures by 1 participant" in said
+    assert "5 recordings of 2 gestures by 1 participant" in said
     assert Classifier.load(tmp_path / "a.onnx").labels == pretrained.labels
+
+
+def test_labels_beside_the_files_name_saved_touches(tmp_path: Path) -> None:
+    touches = [passing("pat", 12, 1), passing("stroke", 12, 2), passing("rub", 12, 3)]
+    lab = saved(tmp_path / "lab", map(unlabelled, touches))
+    first, second, _ = sorted(path.name for path in lab.iterdir())
+    found = read_all(lab, (), labels={first: "pat", second: "notouch"})
+    # A false touch and the rest around it are one recording.
+    assert sorted((each.gesture, len(each.counts)) for each in found.recordings) == [
+        ("notouch", 27 + 12 + 43),
+        ("pat", 27 + 12 + 43),
+    ]
+    assert found.passed_over == {"without a label": 1}
 
 
 def test_touches_of_unknown_people_are_ascribed_to_the_only_known_one(tmp_path: Path) -> None:

@@ -1,10 +1,13 @@
-"""A made touch as the daemon's touch sink gathers it, for the tests of kept touches."""
+"""Made touches as the daemon's touch sink gathers them, and what its files hold, for tests."""
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from touchd.daemon.path.events import TouchBegan, TouchEnded, timestamp
-from touchd.daemon.sinks.touch_store import EndedTouch
+from touchd.daemon.sinks.touch_store import EndedTouch, KeptTouch
 from touchd.drivers.frame import Frame
+from touchd.drivers.recording import UNLABELLED, Recording, read_recordings
 
 FRAMES = 20
 FIRST_S = 1795168800.0
@@ -26,3 +29,19 @@ def ended_touch(number: int, rest_frames: int = 10, after_s: float = 0.0) -> End
         last_ms,
         None,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class KeptFrames:
+    """What a kept touch's file holds; rest before and quiet after it may be missing."""
+
+    before: Recording | None
+    touch: Recording
+    after: Recording | None
+
+
+def read_frames(kept: KeptTouch) -> KeptFrames:
+    parts = read_recordings(kept.path)
+    (place,) = (number for number, part in enumerate(parts) if part.gesture == UNLABELLED)
+    before, after = parts[:place], parts[place + 1 :]
+    return KeptFrames(before[0] if before else None, parts[place], after[0] if after else None)
