@@ -3,7 +3,6 @@
 import importlib.util
 import json
 import os
-import platform
 import shlex
 import shutil
 import sys
@@ -59,32 +58,6 @@ def how_to_install(extra: str) -> str:
     if importlib.util.find_spec("pip") is None:
         return shlex.join([*sudo, "uv", "pip", "install", "--python", sys.executable, *uvs, *wanted])
     return _with_torch_alone([*sudo, sys.executable, "-m", "pip", "install"], wanted, [], "--index-url={}")
-
-
-def qi_installed() -> bool:
-    """Return whether qi, the library that speaks to NAOqi, is installed. It is not loaded."""
-    return importlib.util.find_spec("qi") is not None
-
-
-def why_no_qi(error: Exception) -> str:
-    """Say why qi cannot be loaded, and how to install it: wheels fit some computers and Pythons only."""
-    if other := _qi_on_pythonpath():
-        return (
-            f"qi, the library that speaks to NAOqi, cannot be loaded ({error}): PYTHONPATH leads to another "
-            f"one, {other}, as NAOqi's SDK for Python 2 brings; unset PYTHONPATH"
-        )
-    why = f"cannot be loaded ({error})" if qi_installed() else "is not installed"
-    has_wheel = sys.version_info < (3, 13) and platform.machine() == "x86_64"
-    how = how_to_install("nao") if has_wheel else "`touchd docs install` tells how"
-    return f"qi, the library that speaks to NAOqi, {why}; {how} (Linux x86_64, Python 3.10 to 3.12)"
-
-
-def _qi_on_pythonpath() -> str:
-    """Return the file of a qi that PYTHONPATH puts before the installed one, "" if it does not."""
-    spec = importlib.util.find_spec("qi")
-    file = spec.origin if spec is not None and spec.origin is not None else ""
-    folders = filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))
-    return file if any(Path(file).is_relative_to(folder) for folder in folders) else ""
 
 
 def _with_torch_alone(install: Sequence[str], wanted: Sequence[str], into: Sequence[str], index: str) -> str:

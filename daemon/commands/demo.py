@@ -22,7 +22,6 @@ from touchd.daemon.path.events import UNCERTAIN, Event, Prediction, TouchEnded
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
 from touchd.daemon.playback.stream import DEMO_RECORDING
 from touchd.daemon.robot.actions import Action, ActionRule, Leds
-from touchd.daemon.robot.sink import link_to_robot
 from touchd.daemon.robot.words import name_of, words_of
 from touchd.daemon.view.describe import describe
 from touchd.daemon.view.view import View
@@ -30,9 +29,8 @@ from touchd.drivers.fakes.fake_port import FakePort, LivePort
 from touchd.drivers.fakes.hand import DEMO_SEED, SimulatedHand, demo_gestures
 from touchd.drivers.fakes.loopback_robot import LoopbackRobot
 from touchd.drivers.fakes.services import Call
-from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH, OTHER, Counts
-from touchd.drivers.installed import program_name, qi_installed
+from touchd.drivers.installed import program_name
 from touchd.drivers.recording import Stream, read_recordings, splice
 from touchd.drivers.robot.session import RobotSettings
 from touchd.model.classifier import Classifier
@@ -43,7 +41,6 @@ if typing.TYPE_CHECKING:
 # The recording lasts 37 s; the demo ends within a minute even if something fails.
 LONGEST_S = 50.0
 SPEECH_S = 0.8
-ROBOT_STOP_S = 2.0
 PACE = 1.0
 # Most answers kept for the summary at the end.
 KEPT = 1000
@@ -152,7 +149,7 @@ def _be_touched(options: argparse.Namespace, settings: Settings) -> int:
     from touchd.daemon.playback.touched import TouchedPad, TouchPage
 
     live = parse_address(options.live, None)
-    with_robot = msgspec.structs.replace(settings, robot=RobotSettings(url="tcp://localhost"))
+    with_robot = msgspec.structs.replace(settings, robot=RobotSettings(url="tcp://localhost:9559"))
     rng = RandomState(DEMO_SEED)
     with ExitStack() as closing:
         listening = closing.enter_context(listen(live))
@@ -221,18 +218,8 @@ def _run(
     sensor = msgspec.structs.replace(settings.sensor, port=port.path)
     settings = msgspec.structs.replace(settings, sensor=sensor)
     show_call = partial(_show_call, show)
-    forward: Callable[[Event], None] | None = None
-    if qi_installed():
-        robot = closing.enter_context(LoopbackRobot(show_call, [f"--say-s={SPEECH_S}"]))
-        settings = msgspec.structs.replace(settings, robot=RobotSettings(url=robot.url))
-    else:
-        # The stub robot runs in this process. So does its link, which gets the daemon's events below.
-        stub = closing.enter_context(StubRobot(show_call, SPEECH_S))
-        with_robot = msgspec.structs.replace(settings, robot=RobotSettings(url=stub.url))
-        sink = link_to_robot(with_robot, show.put, stub.open_session)
-        forward = sink.put
-        sink.start()
-        closing.callback(sink.stop, ROBOT_STOP_S)
+    robot = closing.enter_context(LoopbackRobot(show_call, [f"--say-s={SPEECH_S}"]))
+    settings = msgspec.structs.replace(settings, robot=RobotSettings(url=robot.url))
     daemon = SpawnedDaemon(settings, folder, log)
     follow(folder / "log")
     closing.callback(daemon.stop)
@@ -242,8 +229,6 @@ def _run(
     told: deque[str] = deque(maxlen=KEPT)
     for event in daemon.events():
         show.put(event)
-        if forward is not None:
-            forward(event)
         if isinstance(event, Prediction):
             predictions.append(event)
         elif isinstance(event, TouchEnded):

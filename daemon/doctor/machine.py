@@ -1,8 +1,6 @@
 """Checks of the model, the robot and the service."""
 
 import re
-import socket
-import ssl
 import subprocess
 import threading
 import time
@@ -15,19 +13,21 @@ import numpy as np
 from touchd.daemon.app.config import ConfigError, Settings
 from touchd.daemon.app.parts import load_models
 from touchd.daemon.doctor.check import Check
+from touchd.drivers import hosts
 from touchd.drivers.errors import PathError
 from touchd.drivers.frame import COLUMNS, ROWS
 from touchd.drivers.installed import program_name
-from touchd.drivers.robot.link import read_login
-from touchd.drivers.robot.login import PORTS as ROBOT_PORTS
-from touchd.drivers.robot.login import without_password
+from touchd.drivers.robot.link import client_of
+from touchd.drivers.robot.login import encrypted, fingerprint
+from touchd.drivers.robot.session import PORTS as ROBOT_PORTS
 from touchd.drivers.robot.session import (
-    QiSession,
     RobotError,
     RobotLimits,
     RobotLost,
     RobotRefused,
     RobotSettings,
+    address_of,
+    without_password,
 )
 from touchd.model.classifier import ModelError
 
@@ -65,14 +65,19 @@ def robot_urls(typed: str) -> Sequence[str]:
 
     Raises RobotError.
     """
-    parts = re.fullmatch(r"(?:(tcps?)://)?([^\s/@:]+)(?::(\d{1,5}))?", typed)
-    if parts is None or int(parts[3] or 0) > 65535:
-        raise RobotError(f"{without_password(typed)!r} is not a robot's name or address, such as nao.local")
-    scheme, host, port = parts.groups()
-    urls = [f"{scheme}://{host}:{port or ROBOT_PORTS[scheme]}"] if scheme else []
+    scheme, _, rest = typed.strip().rpartition("://")
+    if rest.count(":") > 1 and "[" not in rest:
+        rest = f"[{rest}]"
+    host, port = re.fullmatch(r"(\[.*\]|[^:]*)(?::(.*))?", rest, re.DOTALL).groups()  # type: ignore[union-attr]
+    urls = [f"{scheme}://{host}:{port or ROBOT_PORTS.get(scheme.lower())}"] if scheme else []
     urls += [f"{each}://{host}:{port}" for each in ROBOT_PORTS if port]
     urls += [f"{each}://{host}:{usual}" for each, usual in ROBOT_PORTS.items()]
-    return list(dict.fromkeys(urls))
+    try:
+        return list(dict.fromkeys(address_of(url).url for url in urls))
+    except ValueError as error:
+        raise RobotError(
+            f"{without_password(typed)!r} is not a robot's name or address, such as nao.local"
+        ) from error
 
 
 def find_robot(urls: Sequence[str], trying: Callable[[str], None]) -> str | None:
@@ -83,24 +88,28 @@ def find_robot(urls: Sequence[str], trying: Callable[[str], None]) -> str | None
     for url in urls:
         trying(url)
         with suppress(RobotError, RobotLost, RobotRefused):
-            if _speaks_tls(url) if url.startswith("tcps://") else _ask_version(RobotSettings(url=url)):
+            if certificate_at(url) if url.startswith("tcps://") else _ask_version(RobotSettings(url=url)):
                 return url
     return None
 
 
-def _speaks_tls(url: str) -> bool:
-    """Return whether a server answers with TLS: before its login a robot reveals nothing else."""
-    _, host, port = re.split(r":(?://)?", url)
-    # libqi does not check the certificate either, and nothing is sent.
-    context = ssl.create_default_context()
-    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+def certificate_at(url: str) -> str | None:
+    """Return the fingerprint of a robot's certificate, None if it does not answer with TLS.
+
+    Before its login a robot reveals nothing else.
+    """
+    _, host, port = address_of(url)
+
+    def give_up() -> None:
+        raise TimeoutError
+
     with (
-        suppress(OSError, UnicodeError),
-        socket.create_connection((host, int(port)), REACH_S) as plain,
-        context.wrap_socket(plain, server_hostname=host),
+        suppress(OSError, RobotLost),
+        hosts.connect(host, port, REACH_S) as plain,
+        encrypted(plain, None, give_up) as tls,
     ):
-        return True
-    return False
+        return fingerprint(tls)
+    return None
 
 
 def check_robot(settings: Settings) -> Check:
@@ -108,26 +117,30 @@ def check_robot(settings: Settings) -> Check:
     if settings.robot is None:
         return Check("robot", "ok", "none is configured")
     wanted = settings.robot
+    is_unknown = wanted.address.scheme == "tcps" and wanted.certificate is None
+    shown = certificate_at(wanted.url) if is_unknown else None
+    pin = f"if it is your robot, set robot.certificate: {shown}" if shown else ""
     try:
         version, took_s = _ask_version(wanted)
     except (RobotError, PathError) as error:
-        return Check("robot", "to do", str(error), f"{program_name()} docs install says how to wire a robot")
+        advice = pin or f"{program_name()} docs install says how to wire a robot"
+        return Check("robot", "to do", str(error), advice)
     except (RobotLost, RobotRefused) as error:
         advice = "is that a robot with NAOqi? check robot.url"
-        if wanted.url.startswith("tcps://") and not wanted.user and _speaks_tls(wanted.url):
-            advice = f"set robot.user and robot.token_file ({program_name()} docs install)"
+        if shown and not wanted.user:
+            advice = f"set robot.user and robot.token_file ({program_name()} docs install); {pin}"
             return Check("robot", "to do", f"{wanted.url} answers, and asks for a login", advice)
         if isinstance(error, RobotLost):
             advice = "is it switched on, and can this machine reach it? ping it; check robot.url"
         return Check("robot", "to do", f"{wanted.url}: {error}", advice)
     found = f"NAOqi {version} at {wanted.url}, reached in {1000 * took_s:.0f} ms"
-    return Check("robot", "ok", found, "", {"reached_ms": round(1000 * took_s, 1)})
+    return Check("robot", "ok", found, pin, {"reached_ms": round(1000 * took_s, 1)})
 
 
 def _ask_version(wanted: RobotSettings) -> tuple[str, float]:
     """Return the robot's version, and the time this took in seconds."""
-    login, limits = read_login(wanted), RobotLimits()
-    session = QiSession(wanted.url, login, limits, threading.Event())
+    limits = RobotLimits()
+    session = client_of(wanted)(wanted, limits, threading.Event())
     begun_s = time.monotonic()
     try:
         session.connect()

@@ -70,7 +70,7 @@ def link_to_robot(
     """Return the link to the configured robot; raises RobotError.
 
     emit: receives an event when the robot comes, goes or acts, from the link's threads.
-    open_session: how to reach the robot; real qi by default.
+    open_session: how to reach the robot, instead of the configured client.
     """
 
     def report(state: LinkState, reason: str) -> None:

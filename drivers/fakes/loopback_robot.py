@@ -1,4 +1,4 @@
-"""A robot made of real qi services in a separate process, on 127.0.0.1."""
+"""A stand-in robot in a separate process, on 127.0.0.1."""
 
 import subprocess
 import sys
@@ -9,20 +9,26 @@ from typing import IO
 import msgspec
 
 from touchd.drivers.fakes.services import Call
-from touchd.drivers.robot.session import RobotError, load_qi
+from touchd.drivers.robot.session import RobotError
 
 START_S = 20.0
 
 
 class LoopbackRobot:
-    """Runs `python -m drivers.fakes.fake_robot` on a port that is free, and follows its reports.
+    """Runs a program that is a robot, on a port that is free, and follows its reports.
 
-    options: of that command. on_call: receives each call, from a thread of this object.
-    Raises RobotError where qi is not installed or the robot does not start.
+    options: of `touchd fake-robot`. on_call: receives each call, from a thread of this object. program: what
+    Python runs, with the same options.
+    Raises RobotError if the robot does not start.
     """
 
-    def __init__(self, on_call: Callable[[Call], None], options: Sequence[str] = ()) -> None:
-        load_qi()
+    def __init__(
+        self,
+        on_call: Callable[[Call], None],
+        options: Sequence[str] = (),
+        program: Sequence[str] = ("-m", "touchd.drivers.fakes.fake_robot"),
+    ) -> None:
+        self._program = program
         self.url = ""
         self._on_call = on_call
         self._options = ["--port=0", *options]
@@ -31,7 +37,7 @@ class LoopbackRobot:
 
     def start(self) -> None:
         """Switch the robot on, also after stop(), which makes it forget everything."""
-        command = [sys.executable, "-m", "touchd.drivers.fakes.fake_robot", "--follow-stdin", *self._options]
+        command = [sys.executable, *self._program, "--follow-stdin", *self._options]
         # It ends with its stdin, a pipe from here: no robot outlives a program that was killed.
         process = self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         assert process.stdout is not None

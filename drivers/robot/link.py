@@ -1,9 +1,9 @@
-"""The link to a Nao over qi: raises answers as events in its memory, and has it act.
+"""The link to a Nao: raises answers as events in its memory, and has it act.
 
 The daemon never waits for the robot, whether it is away, hangs or refuses.
 """
 
-import atexit
+import itertools
 import logging
 import re
 import time
@@ -16,19 +16,15 @@ from typing import NamedTuple
 from touchd.drivers.frame import DEFAULT_PAD
 from touchd.drivers.robot.session import (
     OpenSession,
-    QiSession,
-    RobotError,
     RobotLimits,
     RobotRefused,
     RobotSession,
     RobotSettings,
-    load_qi,
 )
 from touchd.drivers.robot.worker import LinkState, Worker
 
 if typing.TYPE_CHECKING:
     from touchd.drivers.robot.acting import Act, ActWorker
-    from touchd.drivers.robot.login import Login
 
 log = logging.getLogger(__name__)
 
@@ -55,7 +51,7 @@ class RobotLink(Worker[Told]):
     takes seconds and must not delay an event.
     settings: checked here; raises RobotError with one line when the user must change something.
     on_state: called from the link's thread when the robot comes ("up", "") or goes ("down", why).
-    open_session: how to reach the robot; real qi by default.
+    open_session: how to reach the robot, instead of the configured client.
     pads: the names of those whose answers are sent. acts: whether `act` will be called.
     """
 
@@ -69,17 +65,18 @@ class RobotLink(Worker[Told]):
         acts: bool = False,
         limits: RobotLimits | None = None,
     ) -> None:
-        login, limits = read_login(settings), limits or RobotLimits()
-        if open_session is None:
-            load_qi()
-        opened = partial(open_session or QiSession, settings.url, login, limits)
+        limits = limits or RobotLimits()
+        opened = partial(open_session or client_of(settings), settings, limits)
         super().__init__("touchd-robot", opened, limits)
         self._url, self._prefix, self._on_state = settings.url, settings.prefix, on_state
         self._state: LinkState | None = None
         self._remove_at_s: dict[str, float] = {}
         self._sent_status: dict[str, str] = {}
+        # Pads whose Status another program writes too.
+        self._shared: set[str] = set()
         # Written by another thread, read here; replacing a value is atomic.
         self._status: dict[str, str] = dict.fromkeys(pads, "up")
+        self._checked = itertools.cycle(list(self._status))
         self._acts: ActWorker | None = None
         self._workers: list[RobotLink | ActWorker] = [self]
         if acts:
@@ -90,8 +87,6 @@ class RobotLink(Worker[Told]):
 
     def start(self) -> None:
         """Begin to connect; returns at once, and the link keeps trying until it is stopped."""
-        # A Python that exits while a thread is inside libqi crashes, which would hide why it exits.
-        atexit.register(self.stop)
         super().start()
         if self._acts is not None:
             self._acts.start()
@@ -114,7 +109,6 @@ class RobotLink(Worker[Told]):
         for worker in self._workers:
             if not worker.join(max(0.0, deadline_s - time.monotonic())):
                 log.warning("the link to the robot did not end within %g s", timeout_s)
-        atexit.unregister(self.stop)
 
     def note_state(self, state: LinkState, reason: str) -> None:
         """Log that the robot is there, or that an attempt to reach it failed; report a change."""
@@ -156,11 +150,25 @@ class RobotLink(Worker[Told]):
         return False
 
     def end(self, session: RobotSession) -> None:
-        """Remove gestures, and set every pad's status to down."""
+        """Remove gestures, and set the status of every pad to down that no other program reports."""
         for pad in list(self._remove_at_s):
             self._remove(session, pad)
         for pad in self._status:
-            self._send_status(session, pad, "down")
+            if pad not in self._shared:
+                self._send_status(session, pad, "down")
+
+    def ask(self, session: RobotSession) -> None:
+        """Read back a pad's status: with one prefix for two daemons, one's "down" hides the other's pad."""
+        pad = next(self._checked)
+        sent, key = self._sent_status[pad], self._name(pad, "Status")
+        found = session.call("ALMemory", "getData", key, limit_s=self._limits.call_s)
+        if found == sent:
+            return
+        if pad not in self._shared:
+            self._shared.add(pad)
+            log.warning("another touchd writes %s; give one of them robot.prefix", key)
+        if found == "down":
+            self._send_status(session, pad, sent)
 
     def _name(self, pad: str, event: str) -> str:
         return f"{self._prefix}/{event}" if pad == DEFAULT_PAD else f"{self._prefix}/{pad}/{event}"
@@ -180,20 +188,17 @@ class RobotLink(Worker[Told]):
         session.call("ALMemory", "raiseEvent", event, value, limit_s=self._limits.call_s)
 
 
-def read_login(settings: RobotSettings) -> "Login | None":
-    """Return the login, None if no user is set; raises RobotError with one line.
+def client_of(settings: RobotSettings) -> OpenSession:
+    """Return what reaches the robot, with its login and certificate checked; raises RobotError."""
+    if settings.user is not None or settings.certificate is not None:
+        from touchd.drivers.robot.login import check_login
 
-    No text made of the result contains the token.
-    """
-    address = re.fullmatch(r"tcps?://([^\s/@:]+):(\d{1,5})", settings.url)
-    if address is None or int(address[2]) > 65535:
-        from touchd.drivers.robot.login import wrong_address
+        check_login(settings)
+    if settings.client == "qi":
+        from touchd.drivers.robot.qi_session import QiSession, load_qi
 
-        raise wrong_address(settings.url)
-    if settings.user is None:
-        if settings.token_file:
-            raise RobotError("robot has a token but no user; set user (nao on most robots)")
-        return None
-    from touchd.drivers.robot.login import login_of
+        load_qi()
+        return QiSession
+    from touchd.drivers.robot.wire import WireSession
 
-    return login_of(settings, settings.user, address[1])
+    return WireSession

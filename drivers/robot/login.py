@@ -1,85 +1,62 @@
-"""The login for a robot that asks for one (NAOqi 2.9), and what is wrong with an address.
+"""What robot and touchd prove to each other: the robot its certificate, touchd the token of NAOqi 2.9."""
 
-Reads the token, and checks who else could get it.
-"""
-
-import ipaddress
+import hashlib
 import logging
 import os
 import re
+import socket
+import ssl
 import stat
-from contextlib import suppress
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from touchd.drivers.errors import written_out
-from touchd.drivers.robot.session import RobotError, RobotSettings
+from touchd.drivers.errors import PathError, written_out
+from touchd.drivers.robot.session import RobotError, RobotLost, RobotSettings
 
 log = logging.getLogger(__name__)
 
 MAX_TOKEN_BYTES = 4096
-# On which NAOqi listens: up to 2.8, and 2.9.
-PORTS = {"tcp": 9559, "tcps": 9503}
+FINGERPRINT = re.compile(r"sha256:([0-9a-f]{2}:?){31}[0-9a-f]{2}", re.IGNORECASE)
 
 
-@dataclass
+@dataclass(frozen=True)
 class Login:
-    """The login for a robot that asks for one (NAOqi 2.9). Its repr does not show the token.
-
-    libqi calls both methods by these names; it refuses a frozen object.
-    """
+    """The login for a robot that asks for one (NAOqi 2.9). Its repr does not show the token."""
 
     user: str
     token: str = field(repr=False)
 
-    def newAuthenticator(self) -> "Login":  # noqa: N802
-        return self
 
-    def initialAuthData(self) -> dict[str, str]:  # noqa: N802
-        return {"user": self.user, "token": self.token}
-
-
-def without_password(address: str) -> str:
-    """Return an address that may be shown: what is before an @ may be a password."""
-    return re.sub(r"//.*@", "//***@", address)
-
-
-def wrong_address(url: str) -> RobotError:
-    """Return an error that says what is wrong with a robot's address."""
-    shown = without_password(url)
-    if host := re.fullmatch(r"(tcps?)://([^\s/@:]+):?", url):
-        port = PORTS[host[1]]
-        return RobotError(f"robot url {shown!r} lacks its port, usually {port}: {host[1]}://{host[2]}:{port}")
-    return RobotError(f"robot url {shown!r} is not an address such as tcp://nao.local:9559")
-
-
-def login_of(settings: RobotSettings, user: str, host: str) -> Login:
-    """Return the login of a user at a robot's host; raises RobotError with one line."""
-    if not settings.url.startswith("tcps://"):
+def check_login(settings: RobotSettings) -> None:
+    """Read token and certificate, and warn of who else may get the token; raises RobotError with one line."""
+    if settings.certificate is not None:
+        _context(settings.certificate)
+    if read_login(settings) is None:
+        return
+    if not (settings.address.is_here or settings.certificate or settings.trust_network):
         raise RobotError(
-            f"robot {settings.url} would get the token unencrypted; use tcps://, or leave user out"
+            f"robot {settings.url}: whoever answers there would get the token; set robot.certificate to the "
+            "robot's, which touchd doctor shows, or robot.trust_network: true if nobody else can answer"
         )
-    if settings.token_file is None:
-        raise RobotError("robot has a user but no token; set token_file")
-    login = Login(user, _read_token(settings.token_file))
-    _warn_of_readers(settings.token_file)
-    if _is_here(host):
-        return login
-    if not settings.trust_network:
-        raise RobotError(
-            f"robot {settings.url}: its certificate cannot be checked, so whoever is between could read the "
-            "token; set robot.trust_network: true if nobody can be, or leave user out"
+    token_file = str(settings.token_file)
+    mode = written_out(token_file).stat().st_mode
+    if stat.S_ISREG(mode) and mode & (stat.S_IRWXG | stat.S_IRWXO) & ~stat.S_IRGRP:
+        log.warning(
+            "robot token_file %s can be read or changed by others: chmod 640 it (the service also needs: "
+            "chgrp touchd)",
+            _shown(token_file),
         )
-    log.warning("robot %s: the token is sent to whoever answers there (robot.trust_network)", settings.url)
-    return login
+    if settings.certificate is None and not settings.address.is_here:
+        log.warning(
+            "robot %s: the token is sent to whoever answers there (robot.trust_network)", settings.url
+        )
 
 
-def _is_here(host: str) -> bool:
-    with suppress(ValueError):
-        return ipaddress.ip_address(host).is_loopback
-    return host == "localhost"
-
-
-def _read_token(token_file: str) -> str:
+def read_login(settings: RobotSettings) -> Login | None:
+    """Return the login, None if no user is set; raises RobotError with one line."""
+    if settings.user is None:
+        return None
+    token_file = str(settings.token_file)
     where = _shown(token_file)
     try:
         # A pipe that nobody writes to must not hold the daemon up.
@@ -89,24 +66,62 @@ def _read_token(token_file: str) -> str:
         token = content.decode("utf-8-sig").strip()
     except (OSError, UnicodeDecodeError) as error:
         why = error.strerror if isinstance(error, OSError) else "not text"
-        raise RobotError(f"robot token_file {where} cannot be read ({why})") from error
+        raise RobotError(f"robot.token_file {where} cannot be read ({why})") from error
     if len(content) > MAX_TOKEN_BYTES:
-        raise RobotError(f"robot token_file {where} is larger than {MAX_TOKEN_BYTES} bytes, so not a token")
+        raise RobotError(f"robot.token_file {where} is larger than {MAX_TOKEN_BYTES} bytes, so not a token")
     if not token:
-        raise RobotError(f"the robot's token in {where} is empty or missing; put it there")
-    return token
-
-
-def _warn_of_readers(token_file: str) -> None:
-    mode = written_out(token_file).stat().st_mode
-    if stat.S_ISREG(mode) and mode & (stat.S_IRWXG | stat.S_IRWXO) & ~stat.S_IRGRP:
-        log.warning(
-            "robot token_file %s can be read or changed by others: chmod 640 it (the service also needs: "
-            "chgrp touchd)",
-            _shown(token_file),
-        )
+        raise RobotError(f"robot.token_file {where} is empty or missing; put the token there")
+    return Login(settings.user, token)
 
 
 def _shown(token_file: str) -> str:
     # A value that is not a path may be the token.
     return token_file if "/" in token_file else "(not shown, since it is not a full path)"
+
+
+def encrypted(line: socket.socket, certificate: str | None, go_on: Callable[[], None]) -> ssl.SSLSocket:
+    """Begin TLS on a connection and check the robot's certificate; raises RobotLost, RobotError or OSError.
+
+    go_on: called whenever the connection's timeout is over, to raise an error or to continue.
+    """
+    tls = _context(certificate).wrap_socket(line, do_handshake_on_connect=False)
+    while True:
+        try:
+            tls.do_handshake()
+            break
+        except TimeoutError:
+            go_on()
+        except ssl.SSLCertVerificationError as error:
+            raise RobotLost(
+                f"connecting: not the robot of robot.certificate: {error.verify_message}"
+            ) from error
+    pinned = certificate or ""
+    shown = fingerprint(tls)
+    if FINGERPRINT.fullmatch(pinned) and shown != f"sha256:{pinned[7:].replace(':', '').lower()}":
+        raise RobotLost(f"connecting: not the robot of robot.certificate: this one's is {shown}")
+    return tls
+
+
+def fingerprint(tls: ssl.SSLSocket) -> str:
+    """Return the fingerprint of the other end's certificate, as in robot.certificate."""
+    return f"sha256:{hashlib.sha256(tls.getpeercert(binary_form=True) or b'').hexdigest()}"
+
+
+def _context(certificate: str | None) -> ssl.SSLContext:
+    """Return what begins TLS, and checks the robot's certificate against a file; raises RobotError."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    # A robot signs its certificate itself, and moves from network to network.
+    context.check_hostname = False
+    if certificate is None or FINGERPRINT.fullmatch(certificate):
+        context.verify_mode = ssl.CERT_NONE
+        return context
+    context.verify_flags |= ssl.VERIFY_X509_PARTIAL_CHAIN
+    try:
+        context.load_verify_locations(written_out(certificate))
+    except (OSError, PathError) as error:
+        why = error.strerror if isinstance(error, OSError) and error.strerror else error
+        raise RobotError(
+            f"robot.certificate {certificate}: neither sha256: and 64 digits, nor a file with a certificate "
+            f"in PEM ({why})"
+        ) from error
+    return context

@@ -30,6 +30,7 @@ from rigs.audit import Audit, Viewer
 from rigs.peers import MOSQUITTO, broker, subscribed
 from rigs.soak_line import pad
 from rigs.sockets import free_port
+from rigs.stub_robot import StubRobot
 
 from touchd.daemon.app.config import LiveSettings, Settings
 from touchd.daemon.bridges.bridges import make_bridges
@@ -48,7 +49,6 @@ from touchd.daemon.sinks.touch_store import (
     folder_of,
     kept_touches,
 )
-from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.frame import FRAME_RATE_HZ, SensorState
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.recording import read_recordings

@@ -17,7 +17,6 @@ import pytest
 from rigs.expectations import DEMO, GESTURES, expected, outline
 from rigs.made_events import PREDICTION
 from rigs.programs import TOUCHD, Program, ran
-from rigs.robots import needs_qi
 from rigs.wait import WITHIN_S
 
 from touchd.daemon.app import cli
@@ -363,17 +362,13 @@ def test_run_reads_what_replay_plays() -> None:
         assert replay.wait(WITHIN_S) == 0
 
 
-@pytest.mark.parametrize(
-    "with_qi", [pytest.param(True, marks=needs_qi), pytest.param(False, marks=pytest.mark.slow)]
-)
 def test_the_demo_shows_touch_answers_and_robot_and_ends(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], with_qi: bool
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     recording = tmp_path / "demo.csv.gz"
     write_simulated(recording, [("notouch", 2.0), ("pat", 3.5), ("notouch", 6.0)], seed=1)
     monkeypatch.setattr(demo, "DEMO_RECORDING", recording)
     monkeypatch.setattr(demo, "PACE", 5.0)
-    monkeypatch.setattr(demo, "qi_installed", lambda: with_qi)
     assert cli.main(["demo", "--plain"]) == 0
     shown = capfd.readouterr()
     assert shown.err == ""

@@ -103,10 +103,11 @@ def test_the_robot_is_asked_for_its_version() -> None:
     assert "ping it" in gone.advice
 
 
-def test_a_robot_user_without_a_token_is_reported() -> None:
-    check = check_robot(Settings(robot=RobotSettings(url="tcps://nao.local:9503", user="nao")))
+def test_a_token_that_cannot_be_read_is_reported() -> None:
+    robot = RobotSettings(url="tcps://127.0.0.1:9", user="nao", token_file="/no/such")
+    check = check_robot(Settings(robot=robot))
     assert check.verdict == "to do"
-    assert "token" in check.found
+    assert "robot.token_file /no/such cannot be read" in check.found
 
 
 @pytest.mark.parametrize(

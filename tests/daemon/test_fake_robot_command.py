@@ -5,14 +5,12 @@ import signal
 import socket
 
 from rigs.programs import TOUCHD, Program, ran
-from rigs.robots import link_threads, needs_qi
+from rigs.robots import link_threads
 from rigs.wait import WITHIN_S
 
 from touchd.drivers.robot.acting import say
 from touchd.drivers.robot.link import RobotLink
 from touchd.drivers.robot.session import RobotSettings
-
-pytestmark = needs_qi
 
 
 def test_it_prints_its_address_and_every_call() -> None:

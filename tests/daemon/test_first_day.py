@@ -17,6 +17,7 @@ from rigs.made_events import PREDICTION
 from rigs.patient_port import playing
 from rigs.programs import TOUCHD, WITHOUT_EXTRAS, Program, ran
 from rigs.robots import linked
+from rigs.stub_robot import StubRobot
 from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S, wait_for
 
@@ -41,7 +42,6 @@ from touchd.daemon.robot.actions import Action, ActionRule
 from touchd.daemon.robot.reactions import Reactions
 from touchd.daemon.robot.sink import RobotSink
 from touchd.daemon.sinks.journal import JournalError, open_journal
-from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.frame import DEFAULT_PAD, Frame
 from touchd.drivers.installed import TORCH_ON_CPU, how_to_install, program_name
 from touchd.drivers.robot.session import RobotLimits

@@ -82,9 +82,9 @@ SERVERS: dict[str, tuple[str, Configure, attackers.Attack]] = {
     "rosbridge, an endless answer": ("websockets", rosbridge, attackers.endless_answer),
     "rosbridge, an endless header": ("websockets", rosbridge, attackers.endless_header),
     "rosbridge, zeros": ("websockets", rosbridge, attackers.zeros),
-    "robot, no answer to the login": ("qi", robot, attackers.never_answers),
-    "robot, a message of 4 GB": ("qi", robot, attackers.claims_gigabytes),
-    "robot, zeros": ("qi", robot, attackers.zeros),
+    "robot, no answer to the login": ("socket", robot, attackers.never_answers),
+    "robot, a message of 4 GB": ("socket", robot, attackers.claims_gigabytes),
+    "robot, zeros": ("socket", robot, attackers.zeros),
     "pad, tcp": ("serial", pad_at("tcp"), attackers.zeros),
     "pad, socket": ("serial", pad_at("socket"), attackers.zeros),
 }

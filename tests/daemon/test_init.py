@@ -19,7 +19,7 @@ from rigs.expectations import RECORDINGS, stream_of
 from rigs.haart_folder import needs_third_study
 from rigs.pressing import SECONDS, pressed
 from rigs.programs import TOUCHD, Program
-from rigs.robots import LOGIN, Robot, needs_qi
+from rigs.robots import LOGIN, Robot
 from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S
 
@@ -208,7 +208,6 @@ def test_the_end_of_input_means_no_robot() -> None:
     assert load(FILE).robot is None
 
 
-@needs_qi
 @pytest.mark.parametrize(
     ("login", "said"),
     [

@@ -16,6 +16,7 @@ from rigs.programs import TOUCHD, Program
 from rigs.robots import Robot
 from rigs.running_daemon import run_daemon
 from rigs.sockets import free_port
+from rigs.stub_robot import StubRobot
 from rigs.wait import WITHIN_S, wait_for
 
 from touchd.daemon.app import cli
@@ -39,7 +40,6 @@ from touchd.daemon.robot.sink import link_to_robot
 from touchd.daemon.sinks.touch_store import folder_of, kept_touches
 from touchd.daemon.sinks.touches import decode, read_journal
 from touchd.drivers.fakes.fake_port import FakePort
-from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.pad.port import open_port, read_waiting
 from touchd.drivers.pad.protocol import parser_of

@@ -16,7 +16,6 @@ import msgspec
 import pytest
 from rigs.made_events import PREDICTION, touch
 from rigs.programs import Program, ran
-from rigs.robots import needs_qi
 from rigs.small_disk import log_on_small_disk, needs_small_disk
 from rigs.wait import WITHIN_S, wait_for
 
@@ -148,7 +147,6 @@ def test_what_a_robot_does_comes_after_its_cause(pipe: tuple[int, int]) -> None:
     assert read(reader, 2) == [PREDICTION, done]
 
 
-@needs_qi
 def test_the_robot_stops_first_so_its_last_acts_are_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -39,7 +39,7 @@ from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import Frame
 from touchd.drivers.pad.grid import GridFrame, Ring
 from touchd.drivers.recording import Recording, RecordingError, read_recordings, write_recordings
-from touchd.drivers.robot.link import read_login
+from touchd.drivers.robot.link import client_of
 from touchd.drivers.robot.session import RobotError, RobotSettings
 from touchd.drivers.whole_file import PARTIAL
 
@@ -360,9 +360,8 @@ def test_a_token_is_sent_to_no_unverified_robot(tmp_path: Path, caplog: pytest.L
     token.chmod(0o644)
     there = RobotSettings(url="tcps://nao.local:9503", user="nao", token_file=str(token))
     with pytest.raises(RobotError, match="trust_network") as refused:
-        read_login(there)
-    trusted = msgspec.structs.replace(there, trust_network=True)
-    assert read_login(trusted) == read_login(msgspec.structs.replace(there, url="tcps://127.0.0.1:9503"))
+        client_of(there)
+    client_of(msgspec.structs.replace(there, trust_network=True))
     assert "chmod 640" in caplog.text
     assert "s3cret" not in caplog.text + str(refused.value)
 
@@ -386,7 +385,7 @@ def test_no_message_shows_a_token_or_a_password(tmp_path: Path, text: str) -> No
 def test_a_token_file_that_is_a_pipe_does_not_block(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "token")
     with pytest.raises(RobotError, match="empty"):
-        read_login(RobotSettings(url="tcps://127.0.0.1:1", user="nao", token_file=str(tmp_path / "token")))
+        client_of(RobotSettings(url="tcps://127.0.0.1:1", user="nao", token_file=str(tmp_path / "token")))
 
 
 def test_a_small_file_of_countless_recordings_is_refused(tmp_path: Path) -> None:

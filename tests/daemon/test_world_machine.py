@@ -31,6 +31,7 @@ from rigs.running_daemon import Daemon
 from rigs.scripted_model import Scripted
 from rigs.soak_line import CRASH
 from rigs.sockets import free_port
+from rigs.stub_robot import StubRobot
 from rigs.wait import wait_for
 from websockets.sync.client import connect
 
@@ -49,7 +50,6 @@ from touchd.daemon.robot.sink import RobotSink
 from touchd.daemon.sinks.journal import Journal, JournalSink
 from touchd.daemon.sinks.sink import EventFanout
 from touchd.drivers.fakes.fake_port import FakePort
-from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.frame import SensorState
 from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.robot.link import RobotLink

@@ -13,10 +13,10 @@ from rigs.made_events import touch
 from rigs.peers import RosbridgePeer
 from rigs.robots import linked
 from rigs.sensor_rig import next_frames, sensing, stream_of
+from rigs.stub_robot import StubRobot
 from rigs.wait import wait_for
 
 from touchd.drivers.fakes.fake_port import FakePort
-from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.faults import AGAIN_S, MOST_CAUSES, Backoff, FaultLog
 from touchd.drivers.robot.session import RobotLimits
 

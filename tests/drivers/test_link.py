@@ -1,22 +1,23 @@
 """What a robot gets over the link, and what is logged of it; on a robot in this process."""
 
 import logging
-import sys
+import re
 import threading
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rigs.call_log import CallLog
-from rigs.robots import LOGIN, States, login_in, message
+from rigs.robots import States, login_in, message
+from rigs.stub_robot import StubRobot
 from rigs.wait import wait_for
 
-from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.frame import DEFAULT_PAD
 from touchd.drivers.robot.acting import say
-from touchd.drivers.robot.link import RobotLink, read_login
+from touchd.drivers.robot.link import RobotLink
 from touchd.drivers.robot.session import RobotError, RobotLost, RobotSession, RobotSettings
 
 GESTURE, STATUS = "TouchGesture/Gesture", "TouchGesture/Status"
@@ -148,13 +149,6 @@ def test_a_failing_listener_leaves_the_link_at_work(caplog: pytest.LogCaptureFix
     assert [one.getMessage() for one in caplog.records] == ["the state of the robot could not be reported"]
 
 
-def test_only_a_link_to_a_real_robot_needs_qi(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "qi", None)
-    RobotLink(RobotSettings(url=URL), open_session=StubRobot().open_session)
-    with pytest.raises(RobotError, match="qi, the library that speaks to NAOqi"):
-        RobotLink(RobotSettings(url=URL))
-
-
 def test_a_link_may_be_stopped_twice_and_before_it_starts() -> None:
     unstarted = RobotLink(RobotSettings(url=URL), open_session=StubRobot().open_session)
     unstarted.stop()
@@ -192,33 +186,110 @@ def test_acts_need_a_link_that_was_made_for_them() -> None:
         RobotLink(RobotSettings(url=URL), open_session=StubRobot().open_session).act([say("a")])
 
 
-@pytest.mark.parametrize("port", ["1", "65535"])
-def test_any_port_is_an_address(port: str) -> None:
-    assert read_login(RobotSettings(url=f"tcps://nao.local:{port}")) is None
+@pytest.mark.parametrize(
+    ("url", "host", "port"),
+    [
+        ("tcps://nao.local:1", "nao.local", 1),
+        ("tcp://nao.local:65535", "nao.local", 65535),
+        ("TCP://Nao.local:9559 ", "Nao.local", 9559),
+        ("tcp://[::1]:9559", "::1", 9559),
+        ("tcp://[fe80::1%eth0]:9559", "fe80::1%eth0", 9559),
+    ],
+)
+def test_these_are_addresses(url: str, host: str, port: int) -> None:
+    assert RobotSettings(url=url).address[1:] == (host, port)
 
 
-@pytest.mark.parametrize("url", ["tcp://nao:65536", "tcp://nao:123456", "udp://nao:9559", "tcp://a b:9559"])
+@pytest.mark.parametrize(
+    "url",
+    [
+        *("tcp://nao:65536", "tcp://nao:123456", "tcp://nao:0", "udp://nao:9559", "tcp://a b:9559"),
+        *("nao.local:9559", "tcp://nao.local:port", "tcp://::1:9559", "tcp://nao:9559/x"),
+    ],
+)
 def test_other_addresses_are_refused_with_an_example(url: str) -> None:
-    with pytest.raises(RobotError, match=r"is not an address such as tcp://nao\.local:9559"):
-        read_login(RobotSettings(url=url))
+    with pytest.raises(ValueError, match=r"is not an address such as tcp://nao\.local:9559"):
+        RobotSettings(url=url)
 
 
-@pytest.mark.parametrize(("url", "port"), [("tcp://nao", 9559), ("tcps://nao:", 9503)])
-def test_the_usual_port_is_proposed(url: str, port: int) -> None:
-    with pytest.raises(
-        RobotError, match=f"lacks its port, usually {port}: {url.partition(':')[0]}://nao:{port}$"
-    ):
-        read_login(RobotSettings(url=url))
+@pytest.mark.parametrize(
+    ("url", "proposed"),
+    [
+        ("tcp://nao", "tcp://nao:9559"),
+        ("tcps://nao:", "tcps://nao:9503"),
+        ("tcp://[::1]", "tcp://[::1]:9559"),
+    ],
+)
+def test_the_usual_port_is_proposed(url: str, proposed: str) -> None:
+    with pytest.raises(ValueError, match=f"lacks its port, usually \\d+: {re.escape(proposed)}$"):
+        RobotSettings(url=url)
 
 
-def test_a_token_without_a_user_is_refused() -> None:
-    with pytest.raises(RobotError, match="set user"):
-        read_login(RobotSettings(url="tcps://nao:9503", token_file="/dev/null"))
+def test_a_password_in_an_address_is_not_shown() -> None:
+    with pytest.raises(ValueError, match=r"tcp://\*\*\*@nao") as error:
+        RobotSettings(url="tcp://nao:s3cret@nao:9559")
+    assert "s3cret" not in str(error.value)
 
 
-def test_a_login_is_read_for_this_computer_and_for_others_only_if_trusted(tmp_path: Path) -> None:
+TOKEN = {"user": "nao", "token_file": "/dev/null"}
+PIN = f"sha256:{'0a:' * 31}0A"
+
+
+@pytest.mark.parametrize(
+    ("settings", "complaint"),
+    [
+        ({"url": "tcps://nao:9503", "user": "nao"}, "set token_file"),
+        ({"url": "tcps://nao:9503", "token_file": "/dev/null"}, "no user"),
+        ({"url": "tcp://nao:9559", **TOKEN}, "not encrypted; use tcps://"),
+        ({"url": "tcp://nao:9559", "certificate": PIN}, "not encrypted; use tcps://"),
+        ({"url": "tcps://nao:9503", "certificate": PIN, "client": "qi"}, "qi accepts any certificate"),
+    ],
+)
+def test_settings_that_contradict_each_other_are_refused(settings: dict[str, Any], complaint: str) -> None:
+    with pytest.raises(ValueError, match=complaint):
+        RobotSettings(**settings)
+
+
+@pytest.mark.parametrize(
+    ("settings", "complaint"),
+    [
+        ({"token_file": "/no/such"}, r"robot\.token_file /no/such cannot be read \(No such"),
+        ({"token_file": "/dev/zero"}, "larger than 4096 bytes"),
+        ({"token_file": "/dev/null"}, "/dev/null is empty"),
+        ({"certificate": "/no/such"}, r"robot\.certificate /no/such: .*\(No such"),
+        ({"certificate": "/dev/null"}, r"robot\.certificate /dev/null: neither sha256: "),
+        ({"certificate": "sha256:abc"}, r"robot\.certificate sha256:abc: neither sha256: "),
+    ],
+)
+def test_what_cannot_be_read_is_reported_in_one_line(settings: dict[str, Any], complaint: str) -> None:
+    with pytest.raises(RobotError, match=complaint):
+        RobotLink(RobotSettings(url="tcps://127.0.0.1:9503", **TOKEN | settings))
+
+
+def test_a_token_is_sent_only_where_the_robot_is_known(tmp_path: Path) -> None:
     login = login_in(tmp_path)
-    assert read_login(RobotSettings(url="tcps://127.0.0.1:9503", **login)) == LOGIN
-    assert read_login(RobotSettings(url="tcps://nao:9503", trust_network=True, **login)) == LOGIN
-    with pytest.raises(RobotError, match="trust_network"):
-        read_login(RobotSettings(url="tcps://nao:9503", **login))
+    for known in ({"certificate": PIN}, {"trust_network": True}):
+        RobotLink(RobotSettings(url="tcps://nao:9503", **login, **known))
+    RobotLink(RobotSettings(url="tcps://127.0.0.1:9503", **login))
+    with pytest.raises(RobotError, match=r"robot\.certificate .* or robot\.trust_network"):
+        RobotLink(RobotSettings(url="tcps://nao:9503", **login))
+
+
+def test_two_daemons_with_one_prefix_are_told_apart(caplog: pytest.LogCaptureFixture) -> None:
+    with robot_and_link() as (robot, _, calls, _):
+        wait_for(lambda: calls.raised(STATUS) == ["up"])
+        second = RobotLink(RobotSettings(url=URL), open_session=robot.open_session)
+        second.set_status("down")
+        second.start()
+        # The first pad is up, whatever the other daemon writes.
+        wait_for(lambda: calls.raised(STATUS) == ["up", "down", "up"])
+        second.set_status("up")
+        wait_for(lambda: calls.raised(STATUS) == ["up", "down", "up", "up"])
+        second.stop()
+        wait_for(lambda: calls.raised(STATUS)[-1] == "up")
+        assert calls.raised(STATUS).count("down") in (1, 2)
+    said = [line for line in caplog.messages if "another touchd" in line]
+    assert said[0] == f"another touchd writes {STATUS}; give one of them robot.prefix"
+    # Each link says it once at most, and its end says nothing of the other's pad.
+    assert len(said) <= 2
+    assert calls.raised(STATUS)[-1] == "up"

@@ -1,4 +1,4 @@
-"""Stopping the link is quick and clean in every state of the robot; on real qi."""
+"""Stopping the link is quick and clean in every state of the robot."""
 
 import os
 import socket
@@ -9,15 +9,19 @@ from pathlib import Path
 
 import pytest
 from rigs.programs import ran
-from rigs.robots import IMPATIENT, Robot, link_threads, linked, needs_qi, reach
+from rigs.robots import CLIENTS, IMPATIENT, Robot, link_threads, linked, reach
 from rigs.wait import AT_ONCE_S
 
 from touchd.drivers.robot.session import RobotLimits
 
 
+@pytest.mark.parametrize("client", CLIENTS)
 @pytest.mark.parametrize("state", ["up", "killed", "hung", "hung-connect", "busy"])
-def test_stopping_ends_soon_and_leaves_no_thread(state: str) -> None:
-    with Robot(say_s=60) as robot, linked(robot, limits=IMPATIENT, acts=True) as (link, states):
+def test_stopping_ends_soon_and_leaves_no_thread(state: str, client: str) -> None:
+    with (
+        Robot(say_s=60) as robot,
+        linked(robot, client=client, limits=IMPATIENT, acts=True) as (link, states),
+    ):
         reach(state, robot, link, states)
         started_s = time.monotonic()
         link.stop()
@@ -26,10 +30,11 @@ def test_stopping_ends_soon_and_leaves_no_thread(state: str) -> None:
         link.stop()
 
 
-def test_a_silent_listener_is_down_and_can_be_disconnected() -> None:
+@pytest.mark.parametrize("client", CLIENTS)
+def test_a_silent_listener_is_down_and_can_be_disconnected(client: str) -> None:
     with socket.create_server(("127.0.0.1", 0)) as mute, Robot() as robot:
         url = f"tcp://127.0.0.1:{mute.getsockname()[1]}"
-        with linked(robot, url=url, limits=RobotLimits(connect_s=0.3)) as (_, states):
+        with linked(robot, client=client, url=url, limits=RobotLimits(connect_s=0.3)) as (_, states):
             assert "connecting: no answer" in states.wait_for("down")
             started_s = time.monotonic()
         assert time.monotonic() - started_s < AT_ONCE_S
@@ -48,13 +53,11 @@ def _exits_cleanly(state: str) -> str:
     return "" if (done.returncode, done.stdout, done.stderr) == (0, "", "") else f"{state}: {done}"
 
 
-@needs_qi
 @pytest.mark.parametrize("state", ["hung", pytest.param("busy", marks=pytest.mark.slow)])
 def test_a_program_with_a_link_ends_cleanly(state: str) -> None:
     assert _exits_cleanly(state) == ""
 
 
-@needs_qi
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("state", EXIT_STATES)

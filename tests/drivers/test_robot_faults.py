@@ -1,4 +1,4 @@
-"""Faults of the robot: the daemon continues and the link recovers; on real qi."""
+"""Faults of the robot: the daemon continues and the link recovers, with our session and with qi's."""
 
 import logging
 import sys
@@ -15,6 +15,7 @@ from rigs import attackers
 from rigs.call_log import CallLog
 from rigs.programs import Program
 from rigs.robots import (
+    CLIENTS,
     GESTURE,
     IMPATIENT,
     LOGIN,
@@ -26,20 +27,27 @@ from rigs.robots import (
     linked,
     login_in,
     message,
+    needs_qi,
 )
 from rigs.sockets import free_port
+from rigs.stub_robot import StubRobot
 from rigs.wait import AT_ONCE_S, wait_for
 
-from touchd.drivers.fakes.stub_robot import StubRobot
 from touchd.drivers.robot.acting import run_behavior, say
 from touchd.drivers.robot.link import RobotLink
 from touchd.drivers.robot.login import Login
-from touchd.drivers.robot.session import QiSession, RobotLimits, RobotLost, RobotSession, RobotSettings
+from touchd.drivers.robot.session import RobotLimits, RobotLost, RobotSession, RobotSettings
+from touchd.drivers.robot.wire import WireSession
 
 
-def test_a_kill_during_a_call_is_survived() -> None:
+@pytest.fixture(params=CLIENTS)
+def client(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+def test_a_kill_during_a_call_is_survived(client: str) -> None:
     limits = RobotLimits(call_s=20)
-    with Robot(call_s=0.2) as robot, linked(robot, limits=limits) as (link, states):
+    with Robot(call_s=0.2) as robot, linked(robot, client=client, limits=limits) as (link, states):
         states.wait_for("up")
         link.put(message("stroke"))
         robot.calls.wait_for(lambda call: "Detail" in str(call.arguments[0]))
@@ -52,8 +60,8 @@ def test_a_kill_during_a_call_is_survived() -> None:
         assert robot.calls.raised(GESTURE) == ["pat"]
 
 
-def test_a_hang_is_noticed_and_events_flow_again_after_it() -> None:
-    with Robot() as robot, linked(robot) as (link, states):
+def test_a_hang_is_noticed_and_events_flow_again_after_it(client: str) -> None:
+    with Robot() as robot, linked(robot, client=client) as (link, states):
         states.wait_for("up")
         robot.hang()
         assert "no answer within" in states.wait_for("up", "down")
@@ -80,7 +88,7 @@ def test_a_robot_that_refuses_is_retried_slowly() -> None:
 def test_no_call_reaches_a_robot_before_its_login() -> None:
     asked: list[str] = []
 
-    class Asked(QiSession):
+    class Asked(WireSession):
         def call(self, service: str, method: str, *arguments: object, limit_s: float) -> object:
             asked.append(method)
             return super().call(service, method, *arguments, limit_s=limit_s)
@@ -102,8 +110,8 @@ def test_no_call_reaches_a_robot_before_its_login() -> None:
     assert asked == []
 
 
-def test_a_robot_that_returns_gets_the_status() -> None:
-    with Robot() as robot, linked(robot, limits=RobotLimits(heartbeat_s=60)) as (link, states):
+def test_a_robot_that_returns_gets_the_status(client: str) -> None:
+    with Robot() as robot, linked(robot, client=client, limits=RobotLimits(heartbeat_s=60)) as (link, states):
         states.wait_for("up")
         link.set_status("down")
         robot.calls.wait_for_raise(STATUS, "down")
@@ -114,11 +122,11 @@ def test_a_robot_that_returns_gets_the_status() -> None:
         robot.calls.wait_for(lambda _: robot.calls.raised(STATUS) == ["up", "down", "down"])
 
 
-def test_stale_messages_are_dropped_and_fresh_ones_sent() -> None:
+def test_stale_messages_are_dropped_and_fresh_ones_sent(client: str) -> None:
     limits = RobotLimits(stale_s=0.5)
     with Robot() as robot:
         robot.kill()
-        with linked(robot, limits=limits) as (link, states):
+        with linked(robot, client=client, limits=limits) as (link, states):
             link.put(message("stale"))
             assert "refused" in states.wait_for("down")
             time.sleep(0.6)
@@ -128,15 +136,15 @@ def test_stale_messages_are_dropped_and_fresh_ones_sent() -> None:
             assert robot.calls.raised(GESTURE) == ["fresh"]
 
 
-def test_a_robot_without_its_memory_is_down_and_says_why() -> None:
-    with Robot(without=["ALMemory"]) as robot, linked(robot) as (_, states):
+def test_a_robot_without_its_memory_is_down_and_says_why(client: str) -> None:
+    with Robot(without=["ALMemory"]) as robot, linked(robot, client=client) as (_, states):
         assert "looking for ALMemory" in states.wait_for("down")
 
 
 SPEAKER = """
 import sys, time
 from touchd.drivers.fakes.services import fake_services
-from touchd.drivers.robot.session import load_qi
+from touchd.drivers.robot.qi_session import load_qi
 session = load_qi().Session()
 session.connect(sys.argv[1])
 session.listen("tcp://127.0.0.1:0")
@@ -158,8 +166,12 @@ def speaker(robot: Robot) -> Iterator[IO[str]]:
             process.kill()
 
 
-def test_a_service_that_comes_back_is_used_again(caplog: pytest.LogCaptureFixture) -> None:
-    with Robot(without=["ALTextToSpeech"]) as robot, linked(robot, acts=True) as (link, states):
+@needs_qi
+def test_a_service_that_comes_back_is_used_again(caplog: pytest.LogCaptureFixture, client: str) -> None:
+    with (
+        Robot(without=["ALTextToSpeech"]) as robot,
+        linked(robot, client=client, acts=True) as (link, states),
+    ):
         states.wait_for("up")
         with speaker(robot) as said:
             link.act([say("pat")])
@@ -173,10 +185,10 @@ def test_a_service_that_comes_back_is_used_again(caplog: pytest.LogCaptureFixtur
 
 
 def test_an_action_that_takes_too_long_is_cut_and_reported(
-    caplog: pytest.LogCaptureFixture,
+    caplog: pytest.LogCaptureFixture, client: str
 ) -> None:
     limits = RobotLimits(action_s=0.3)
-    with Robot(say_s=1.5) as robot, linked(robot, limits=limits, acts=True) as (link, states):
+    with Robot(say_s=1.5) as robot, linked(robot, client=client, limits=limits, acts=True) as (link, states):
         states.wait_for("up")
         link.act([say("pat"), run_behavior("dances/one")])
         wait_for(lambda: "given up" in caplog.text)
@@ -184,9 +196,9 @@ def test_an_action_that_takes_too_long_is_cut_and_reported(
     assert "an action is given up, with 1 after it: ALTextToSpeech.say: no answer within 0.3" in caplog.text
 
 
-def test_the_heartbeat_works_without_its_service() -> None:
+def test_the_heartbeat_works_without_its_service(client: str) -> None:
     limits = RobotLimits(heartbeat_s=0.02)
-    with Robot(without=["ALSystem"]) as robot, linked(robot, limits=limits) as (link, states):
+    with Robot(without=["ALSystem"]) as robot, linked(robot, client=client, limits=limits) as (link, states):
         states.wait_for("up")
         time.sleep(0.1)
         hears(robot, link, "stroke")
@@ -194,10 +206,13 @@ def test_the_heartbeat_works_without_its_service() -> None:
 
 
 def test_the_right_login_connects_and_never_shows_the_token(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, client: str
 ) -> None:
     caplog.set_level(logging.DEBUG)
-    with Robot(login=LOGIN) as robot, linked(robot, **login_in(tmp_path), acts=True) as (link, states):
+    with (
+        Robot(login=LOGIN) as robot,
+        linked(robot, client=client, **login_in(tmp_path), acts=True) as (link, states),
+    ):
         assert robot.url.startswith("tcps://")
         states.wait_for("up")
         answer(link, "tickle")
@@ -206,26 +221,26 @@ def test_the_right_login_connects_and_never_shows_the_token(
 
 
 def test_a_wrong_token_gives_advice_and_is_not_shown(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, client: str
 ) -> None:
     caplog.set_level(logging.DEBUG)
     wrong = login_in(tmp_path, Login("nao", "wr0ng-token"))
-    with Robot(login=LOGIN) as robot, linked(robot, **wrong) as (_, states):
+    with Robot(login=LOGIN) as robot, linked(robot, client=client, **wrong) as (_, states):
         assert "check user and token" in states.wait_for("down")
         assert "wr0ng-token" not in repr(states.told) + caplog.text
 
 
 @pytest.mark.parametrize("encrypted", [True, False])
-def test_tcp_and_tcps_mixed_up_gives_advice(encrypted: bool) -> None:
+def test_tcp_and_tcps_mixed_up_gives_advice(encrypted: bool, client: str) -> None:
     with Robot(login=LOGIN if encrypted else None) as robot:
         url = robot.url.replace("tcps://", "tcp://") if encrypted else robot.url.replace("tcp://", "tcps://")
-        with linked(robot, url=url) as (_, states):
+        with linked(robot, client=client, url=url) as (_, states):
             assert "tcp:// or tcps://" in states.wait_for("down")
 
 
-def test_publishing_to_a_hung_robot_returns_at_once() -> None:
+def test_publishing_to_a_hung_robot_returns_at_once(client: str) -> None:
     limits = replace(IMPATIENT, capacity=5, stale_s=60)
-    with Robot() as robot, linked(robot, limits=limits, acts=True) as (link, states):
+    with Robot() as robot, linked(robot, client=client, limits=limits, acts=True) as (link, states):
         states.wait_for("up")
         robot.hang()
         states.wait_for("up", "down")

@@ -66,11 +66,7 @@ def files() -> dict[str, Set[str]]:
         for path in ROOT.glob(f"{package}/**/*.py")
         if path.name != "__init__.py" and not path.is_relative_to(STUDIES)
     }
-    # It goes with a session of our own.
-    known = {"touchd.drivers.robot.session"}
-    return {
-        name: imports(path) & modules.keys() - {name} for name, path in modules.items() if name not in known
-    }
+    return {name: imports(path) & modules.keys() - {name} for name, path in modules.items()}
 
 
 def test_no_files_import_each_other_in_a_circle() -> None:

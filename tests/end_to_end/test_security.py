@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 import yaml
 from rigs.programs import TOUCHD, Program
-from rigs.robots import needs_qi
 from rigs.running_daemon import Daemon
 from rigs.sockets import LISTENS, LOOPBACK, sockets
 from rigs.wait import wait_for
@@ -111,7 +110,6 @@ def test_the_models_runtime_sends_no_telemetry(tmp_path: Path) -> None:
     assert list(tmp_path.rglob("*")) == []
 
 
-@needs_qi
 def test_the_daemon_listens_nowhere(tmp_path: Path) -> None:
     with (
         Program(*TOUCHD, "fake-robot", "--port", "0") as robot,

@@ -18,7 +18,6 @@ import pytest
 from rigs.expectations import LENGTHS, expected, outline
 from rigs.patient_port import PATIENT, playing
 from rigs.programs import TOUCHD, Program, ran
-from rigs.robots import needs_qi
 from rigs.service_manager import Manager
 from rigs.wait import AT_ONCE_S, WITHIN_S
 
@@ -304,7 +303,6 @@ def test_a_missing_pad_is_awaited_and_reported(spawn: Spawn, tmp_path: Path, man
     assert daemon.process.wait(AT_ONCE_S) == 0
 
 
-@needs_qi
 def test_a_stalled_reader_and_dead_robot_lose_no_journal_line(spawn: Spawn, tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     with playing(LENGTHS, 50.0) as pad:

@@ -27,14 +27,14 @@ MAX_FIRST_MESSAGE_BYTES = 64 * 1024
 class Gate:
     """Lets clients with the right login through to a server on this machine.
 
-    port: where to listen on 127.0.0.1. inner_port: the server's.
+    port: where to listen on 127.0.0.1. inner_port: the server's. authority: signs the certificate.
     """
 
-    def __init__(self, port: int, inner_port: int, login: Login) -> None:
+    def __init__(self, port: int, inner_port: int, login: Login, authority: trustme.CA) -> None:
         self._inner_port = inner_port
         self._login = login
         self._tls = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-        trustme.CA().issue_cert("127.0.0.1").configure_cert(self._tls)
+        authority.issue_cert("nao").configure_cert(self._tls)
         self._listener = socket.create_server(("127.0.0.1", port))
         threading.Thread(target=self._accept, name="login-gate", daemon=True).start()
 
@@ -89,9 +89,9 @@ def _text(text: str) -> bytes:
 
 
 def _holds(message: bytes, login: Login) -> bool:
-    """Return whether the map of capabilities in a message has this login, as dynamic strings."""
+    """Return whether the map of capabilities in a message has this login: strings, or as qi nests them."""
     return all(
-        _text(key) + _text("m") + _text("s") + _text(value) in message
+        any(_text(key) + nested + _text("s") + _text(value) in message for nested in (b"", _text("m")))
         for key, value in (("auth_user", login.user), ("auth_token", login.token))
     )
 

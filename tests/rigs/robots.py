@@ -1,5 +1,6 @@
 """A stand-in robot that records its calls, and a link that records its states."""
 
+import importlib.util
 import signal
 import threading
 import time
@@ -10,28 +11,32 @@ from typing import Any
 
 import msgspec
 import pytest
+import trustme
 from rigs.call_log import CallLog
 from rigs.login_gate import Gate
 from rigs.made_events import PREDICTION
 from rigs.sockets import free_port
+from rigs.stub_robot import StubRobot
 from rigs.wait import SOON_S
 
 from touchd.daemon.path.events import timestamp
 from touchd.daemon.robot.sink import told_of
 from touchd.drivers.fakes.loopback_robot import LoopbackRobot
-from touchd.drivers.fakes.stub_robot import StubRobot
-from touchd.drivers.installed import qi_installed
 from touchd.drivers.robot.acting import say
 from touchd.drivers.robot.link import RobotLink, Told
 from touchd.drivers.robot.login import Login
 from touchd.drivers.robot.session import RobotLimits, RobotSettings
 
-needs_qi = pytest.mark.skipif(not qi_installed(), reason="qi is not installed")
+HAS_QI = importlib.util.find_spec("qi") is not None
+needs_qi = pytest.mark.skipif(not HAS_QI, reason="qi is not installed")
+# With what touchd reaches the robot: its own session, and qi's.
+CLIENTS = ["touchd", pytest.param("qi", marks=needs_qi)]
 
 
 class Robot(LoopbackRobot):
-    """A robot that records its calls, dies, hangs and comes back on the same port; skips the test without qi.
+    """A robot that records its calls, dies, hangs and comes back on the same port.
 
+    It stands on the robot's own library if that is installed, else, or with is_ours, on our server.
     call_s, say_s: duration of a call and of speech, in seconds. without: services it lacks. login: if set,
     the robot uses TLS and asks for it, as NAOqi 2.9 does.
     """
@@ -43,22 +48,25 @@ class Robot(LoopbackRobot):
         say_s: float = 0.0,
         without: Sequence[str] = (),
         login: Login | None = None,
+        is_ours: bool = not HAS_QI,
     ) -> None:
-        if not qi_installed():
-            pytest.skip("qi is not installed")
         self.calls = CallLog()
         self._login = login
         self._gate: Gate | None = None
         self._gate_port = free_port()
+        self.authority = trustme.CA()
         options = [f"--port={free_port()}", f"--call-s={call_s}", f"--say-s={say_s}"]
         options += [f"--without={name}" for name in without]
-        super().__init__(self.calls.add, options)
+        program = ["-m", "touchd.drivers.fakes.fake_robot"]
+        if not is_ours:
+            program = [str(Path(__file__).with_name("qi_robot.py"))]
+        super().__init__(self.calls.add, options, program)
 
     def start(self) -> None:
         """Switch it on, also after kill()."""
         super().start()
         if self._login is not None:
-            self._gate = Gate(self._gate_port, int(self.url.rpartition(":")[2]), self._login)
+            self._gate = Gate(self._gate_port, int(self.url.rpartition(":")[2]), self._login, self.authority)
             self.url = f"tcps://127.0.0.1:{self._gate_port}"
 
     def stop(self) -> None:

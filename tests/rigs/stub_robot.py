@@ -1,4 +1,4 @@
-"""A robot in this process, for a demonstration where qi cannot be installed."""
+"""A robot in this process, without a network."""
 
 from collections.abc import Callable
 

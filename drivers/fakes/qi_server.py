@@ -1,0 +1,153 @@
+"""The server's side of QiMessaging, for a stand-in robot: plain Python objects as services, on 127.0.0.1."""
+
+import inspect
+import socket
+import threading
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from typing import Any, NamedTuple
+
+from touchd.drivers.robot.values import ValueFault, read, write
+from touchd.drivers.robot.wire import (
+    AUTH_STATE,
+    AUTHENTICATE,
+    CALL,
+    CAPABILITIES,
+    ERROR,
+    FIND_SERVICE,
+    HEADER,
+    LIST_METHODS,
+    MAGIC,
+    MOST_BYTES,
+    REPLY,
+)
+
+DONE = 3
+DIRECTORY, FIRST_ACTION = 1, 100
+SIGNATURES = {str: "s", int: "i", float: "f", bool: "b", None: "v"}
+META_OBJECT = "({I(Issss[(ss)]s)}{I(Iss)}{I(Iss)}s)"
+SERVICE_INFO = "(sIsI[s]ss)"
+MACHINE = "touchd-fake-robot"
+# qi's clients want to be told when a service comes or goes, which none does here.
+SIGNALS = {106: (106, "serviceAdded", "(Is)"), 107: (107, "serviceRemoved", "(Is)")}
+
+
+class Action(NamedTuple):
+    """A method that can be called. takes, gives: signatures of its parameters and its answer."""
+
+    name: str
+    takes: str
+    gives: str
+    run: Callable[..., Any]
+
+
+COMMON = {
+    0: Action("registerEvent", "(IIL)", "L", lambda *_: 0),
+    1: Action("unregisterEvent", "(IIL)", "v", lambda *_: None),
+    LIST_METHODS: Action("metaObject", "(I)", META_OBJECT, lambda _: None),
+}
+
+
+class QiServer:
+    """Serves objects by name to any number of clients until it is closed.
+
+    A service's public methods are its actions; their annotations give the signatures. port: 0 for any.
+    Raises OSError.
+    """
+
+    def __init__(self, services: Mapping[str, object], port: int) -> None:
+        self._listener = socket.create_server(("127.0.0.1", port))
+        self.url = f"tcp://127.0.0.1:{self._listener.getsockname()[1]}"
+        self._numbers = {name: number for number, name in enumerate(services, DIRECTORY + 1)}
+        self._objects = {DIRECTORY: self._directory()}
+        self._objects |= {self._numbers[name]: _actions(service) for name, service in services.items()}
+        for actions in self._objects.values():
+            actions |= COMMON
+        threading.Thread(target=self._let_in, name="touchd-qi-server", daemon=True).start()
+
+    def close(self) -> None:
+        self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+
+    def _let_in(self) -> None:
+        with suppress(OSError):
+            while True:
+                client, _ = self._listener.accept()
+                threading.Thread(
+                    target=self._serve, args=(client,), name="touchd-client", daemon=True
+                ).start()
+
+    def _serve(self, client: socket.socket) -> None:
+        """Answer one client's calls, one after the other, until it leaves or sends what is no message."""
+        with client, suppress(OSError, EOFError):
+            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            while True:
+                magic, number, size, version, kind, _, *target = HEADER.unpack(_received(client, HEADER.size))
+                if magic != MAGIC or size > MOST_BYTES:
+                    return
+                payload = _received(client, size)
+                if kind != CALL:
+                    continue
+                try:
+                    kind, answer = REPLY, self._answer((target[0], target[1], target[2]), payload)
+                except (RuntimeError, LookupError, ValueFault) as error:
+                    kind, answer = ERROR, write("m", str(error))
+                client.sendall(HEADER.pack(MAGIC, number, len(answer), version, kind, 0, *target) + answer)
+
+    def _answer(self, target: tuple[int, int, int], payload: bytes) -> bytes:
+        """Return the payload of the answer to a call; raises what the robot answers with an error."""
+        if target == AUTHENTICATE:
+            return write("{sm}", {**CAPABILITIES, AUTH_STATE: DONE})
+        service, _, number = target
+        actions = self._objects[service]
+        if number == LIST_METHODS:
+            signals = SIGNALS if service == DIRECTORY else {}
+            methods: Mapping[int, object] = {
+                each: (each, action.gives, action.name, action.takes, "", [], "")
+                for each, action in actions.items()
+            }
+            return write(META_OBJECT, (methods, signals, {}, ""))
+        action = actions[number]
+        arguments: Any = read(action.takes, payload)
+        return write(action.gives, action.run(*arguments))
+
+    def _directory(self) -> dict[int, Action]:
+        def service(name: str) -> object:
+            if name not in self._numbers:
+                raise RuntimeError(f"Cannot find service '{name}' in index")
+            return (name, self._numbers[name], MACHINE, 1, [self.url], "", "")
+
+        def services() -> object:
+            return [service(name) for name in self._numbers]
+
+        return {
+            FIND_SERVICE[2]: Action("service", "(s)", SERVICE_INFO, service),
+            101: Action("services", "()", f"[{SERVICE_INFO}]", services),
+            108: Action("machineId", "()", "s", lambda: MACHINE),
+        }
+
+
+def _received(client: socket.socket, size: int) -> bytes:
+    data = b""
+    while len(data) < size:
+        piece = client.recv(size - len(data))
+        if not piece:
+            raise EOFError
+        data += piece
+    return data
+
+
+def _actions(service: object) -> dict[int, Action]:
+    """Return what a service's methods become, by their numbers."""
+    found = [
+        _action(name, method)
+        for name, method in inspect.getmembers(service, inspect.ismethod)
+        if not name.startswith("_")
+    ]
+    return dict(enumerate(found, FIRST_ACTION))
+
+
+def _action(name: str, method: Callable[..., Any]) -> Action:
+    hints = inspect.signature(method)
+    takes = "".join(SIGNATURES.get(each.annotation, "m") for each in hints.parameters.values())
+    return Action(name, f"({takes})", SIGNATURES.get(hints.return_annotation, "m"), method)

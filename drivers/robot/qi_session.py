@@ -1,0 +1,117 @@
+"""A session over qi, the robot's own library, for robots that `wire` does not reach (robot.client: qi)."""
+
+import importlib
+import os
+import threading
+import time
+from typing import Any
+
+from touchd.drivers.errors import one_line
+from touchd.drivers.installed import how_to_install
+from touchd.drivers.robot.session import (
+    ADVICE,
+    STOPPING_LIMIT_S,
+    RobotError,
+    RobotLimits,
+    RobotLost,
+    RobotRefused,
+    RobotSettings,
+)
+
+# Poll interval for the stop event while a call runs.
+SLICE_MS = 50
+
+
+def load_qi() -> Any:
+    """Return the module qi, silenced; raises RobotError with one line when it cannot be loaded."""
+    # libqi reads these when it is loaded: notice a network that drops everything after 10 s, not 30, and do
+    # not allocate whatever a message claims.
+    os.environ.setdefault("QI_TCP_PING_TIMEOUT", "10")
+    os.environ.setdefault("QI_MAX_MESSAGE_PAYLOAD", "2000000")
+    try:
+        qi = importlib.import_module("qi")
+    except (ImportError, SyntaxError) as error:
+        raise RobotError(
+            f"robot.client: qi cannot be loaded ({error}; PYTHONPATH may lead to another one); leave client "
+            f"out, or, on x86_64 with Python 3.10 to 3.12: {how_to_install('nao')}"
+        ) from error
+    # libqi logs to stdout, which is the daemon's stream of events.
+    qi.logging.setLevel(qi.logging.SILENT)
+    return qi
+
+
+class QiSession:
+    """A RobotSession over qi.
+
+    Every operation is asynchronous and waited for with a limit: a synchronous one on a hung robot blocks for
+    ever. There are no callbacks and no subscriptions, with which libqi crashes at exit.
+    """
+
+    def __init__(self, settings: RobotSettings, limits: RobotLimits, stopping: threading.Event) -> None:
+        self._settings = settings
+        self._limits = limits
+        self._stopping = stopping
+        self._qi = load_qi()
+        self._session = self._qi.Session()
+        self._proxies: dict[str, Any] = {}
+
+    def connect(self) -> None:
+        if self._settings.user is not None:
+            self._session.setClientAuthenticatorFactory(_Authenticator(self._settings))
+        connecting = self._session.connect(self._settings.url, _async=True)
+        try:
+            self._value(connecting, self._limits.connect_s, "connecting")
+        except (RobotRefused, RobotLost) as error:
+            # libqi's error is the same for no robot, a wrong token, and tcp:// mixed up with tcps://.
+            raise RobotLost(f"{error}; {ADVICE}") from error
+
+    def connected(self) -> bool:
+        return bool(self._session.isConnected())
+
+    def call(self, service: str, method: str, *arguments: object, limit_s: float) -> object:
+        if service not in self._proxies:
+            found = self._session.service(service, _async=True)
+            self._proxies[service] = self._value(found, self._limits.connect_s, f"looking for {service}")
+        try:
+            answer = getattr(self._proxies[service], method)(*arguments, _async=True)
+        except AttributeError as error:
+            raise RobotRefused(f"{service} has no {method}") from error
+        try:
+            return self._value(answer, limit_s, f"{service}.{method}")
+        except RobotRefused:
+            # The service may have ended; once it is back, only a new proxy reaches it.
+            del self._proxies[service]
+            raise
+
+    def close(self) -> None:
+        self._proxies.clear()
+        self._session.close(_async=True).wait(round(1000 * STOPPING_LIMIT_S))
+
+    def _value(self, future: Any, limit_s: float, what: str) -> object:
+        started_s = time.monotonic()
+        while future.wait(SLICE_MS) == self._qi.FutureState.Running:
+            waited_s = time.monotonic() - started_s
+            if waited_s >= limit_s or (self._stopping.is_set() and waited_s >= STOPPING_LIMIT_S):
+                raise RobotLost(f"{what}: no answer within {waited_s:.1f} s")
+        try:
+            return future.value()
+        except RuntimeError as error:
+            # qi raises the same error for a lost link and for an error on the robot.
+            first_line = (str(error).splitlines() or [type(error).__name__])[0]
+            because = one_line(f"{what}: {first_line}")
+            raise (RobotRefused if self.connected() else RobotLost)(because) from error
+
+
+class _Authenticator:
+    """Logs in. libqi calls both methods by these names."""
+
+    def __init__(self, settings: RobotSettings) -> None:
+        from touchd.drivers.robot.login import read_login
+
+        self._login = read_login(settings)
+
+    def newAuthenticator(self) -> "_Authenticator":  # noqa: N802
+        return self
+
+    def initialAuthData(self) -> dict[str, str]:  # noqa: N802
+        return {"user": self._login.user, "token": self._login.token} if self._login else {}
