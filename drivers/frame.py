@@ -1,4 +1,4 @@
-"""The items that a pad's reader delivers: frames, and the pad's state."""
+"""The items that a pad's reader delivers: frames, the pad's state, and what a parser refused."""
 
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
@@ -38,6 +38,46 @@ class Frame(msgspec.Struct, frozen=True, eq=False):
     sensor_ms: int
     host_s: float
     pressure: Counts
+
+
+# Signs of a restart with fewer frames between them are one: register dump, boot log, the clock's step back.
+ONE_RESTART_FRAMES = 54
+
+
+@dataclass
+class ProtocolCounts:
+    """What a parser delivered and refused since it was made.
+
+    frames: delivered. damaged: about how many frames the refused bytes were. bad_time: frames refused because
+    they disagree with the pad's clock. duplicates: frames that repeat a clock already taken. clipped: frames
+    delivered whose values above full scale were cut to it. bytes_dropped: bytes that belong to no well-formed
+    frame. restarts: of the board; the last began at frame restarted_at.
+    """
+
+    frames: int = 0
+    damaged: int = 0
+    bad_time: int = 0
+    duplicates: int = 0
+    clipped: int = 0
+    bytes_dropped: int = 0
+    restarts: int = 0
+    restarted_at: int = -ONE_RESTART_FRAMES
+
+    @property
+    def bad(self) -> int:
+        """Frames refused as damaged, for whatever reason; a duplicate is not damage."""
+        return self.damaged + self.bad_time
+
+    def refuse(self, dropped: int = 0) -> None:
+        """Count a damaged frame, and the bytes dropped with it."""
+        self.damaged += 1
+        self.bytes_dropped += dropped
+
+    def restarted(self) -> None:
+        """Count a restart of the board, of which a sign was seen now."""
+        if self.frames - self.restarted_at >= ONE_RESTART_FRAMES:
+            self.restarts += 1
+            self.restarted_at = self.frames
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,8 @@ from touchd.daemon.sinks.sink import Sink
 from touchd.daemon.sinks.touch_store import TouchSink, keep_touches
 from touchd.drivers.errors import PathError, written_out
 from touchd.drivers.frame import COLUMNS, NO_TOUCH, OTHER, ROWS
+from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import SensorError, check_port
-from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.pad.sensor import FrameQueue, Sensor
 from touchd.drivers.queue import Signal
 from touchd.model.classifier import Classifier, load_own
@@ -84,7 +84,7 @@ def make_parts(
     pads = []
     for number, (name, pad) in enumerate(settings.pads.items()):
         queue = FrameQueue(filled=arrived)
-        sensor = Sensor(pad.sensor.port, pad.sensor.baud, parser_of(pad.sensor.described), queue)
+        sensor = Sensor(pad.sensor.port, pad.sensor.baud, FrameParser(pad.sensor.described), queue)
         monitor = PadMonitor(name, sensor.parser, sensor.where)
         pipeline = Pipeline(pad.pipeline, models[name], emit, None, name, viewers, number, monitor)
         pads.append(PadChannel(name, models[name], queue, sensor, pipeline))

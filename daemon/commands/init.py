@@ -36,8 +36,7 @@ from touchd.daemon.doctor.machine import check_robot, find_robot, robot_urls
 from touchd.drivers.errors import os_errors_as
 from touchd.drivers.installed import program_name
 from touchd.drivers.numbers import within
-from touchd.drivers.pad.format import PRESETS, PadFormat
-from touchd.drivers.pad.format_yaml import as_yaml
+from touchd.drivers.pad.format import PRESETS, PadFormat, as_yaml
 from touchd.drivers.pad.names import LastingName, lasting_name, why_no_port
 from touchd.drivers.pad.port import Line, SensorError, at_baud, open_port
 from touchd.drivers.robot.session import RobotError

@@ -19,7 +19,7 @@ from touchd.daemon.doctor.values import (
     check_taxels,
     is_pressed,
 )
-from touchd.drivers.pad.protocol import parser_of
+from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.search.search import Finding, Grid
 
 PRESS_S = 15.0
@@ -57,7 +57,7 @@ def _examine_pad(
         return
     with opened:
         say(f"Leave the pad alone for {seconds:g} s ...")
-        sample = listen(opened, parser_of(sensor.described), seconds)
+        sample = listen(opened, FrameParser(sensor.described), seconds)
 
         def find() -> Finding:
             if talk:
@@ -87,6 +87,6 @@ def _examine_pad(
             return
         rest = np.median(sample.counts(), axis=0)
         say(f"Press the pad's top left corner with a finger, within {PRESS_S:g} s ...")
-        parser = parser_of(sensor.described)
+        parser = FrameParser(sensor.described)
         pressed = listen(opened, parser, PRESS_S, enough=lambda frame: is_pressed(frame, rest))
         yield check_orientation(pressed, rest, settings)

@@ -18,8 +18,8 @@ from touchd.daemon.view.pad_picture import as_text, level_of, pad_picture
 from touchd.daemon.view.palette import palette_for
 from touchd.drivers.frame import COLUMNS, ROWS
 from touchd.drivers.pad.format import LONGEST_SIDE, SHORTEST_SIDE, PadFormat
+from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import Line, forget_waiting, read_waiting
-from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.search.listen import Chunk, listen
 from touchd.drivers.search.search import Finding, Grid, placements, search, survey
 
@@ -178,7 +178,7 @@ def turned_with_a_hand(
 
 def _touched_corner(opened: Line, described: PadFormat, at_rest: Sequence[Chunk]) -> tuple[bool, bool] | None:
     """Return the corner of the described pad that a hand holds, as (is below, is to the right)."""
-    parser = parser_of(described)
+    parser = FrameParser(described)
     # The hand may be on the pad already.
     rest = [frame.pressure for chunk in at_rest for frame in parser.feed(*chunk)]
     held: list[tuple[float, float, float]] = []
@@ -213,7 +213,7 @@ def _corner_where_held(held: Sequence[tuple[float, float, float]]) -> tuple[bool
 
 def _follows(console: Console, opened: Line, described: PadFormat) -> bool:
     """Show the pad and ask whether the picture follows the hand; return the answer."""
-    parser = parser_of(described)
+    parser = FrameParser(described)
     palette = palette_for(console)
     rest: NDArray[np.float64] | None = None
     shown_s = 0.0

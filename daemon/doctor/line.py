@@ -16,12 +16,11 @@ from touchd.daemon.doctor.machine import service_runs
 from touchd.daemon.path.monitor import MANY_SHARE
 from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, MIN_RATE_HZ, ROWS
 from touchd.drivers.pad.arrived import is_text, looks_like
-from touchd.drivers.pad.format import PadFormat
-from touchd.drivers.pad.format_yaml import as_yaml
+from touchd.drivers.pad.format import PadFormat, as_yaml
 from touchd.drivers.pad.names import why_no_port
 from touchd.drivers.pad.pace import clock_by_ours, pace_of
+from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import Line, SensorError, at_baud, check_port, forget_waiting, open_port
-from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.pad.why_not import SERIAL_GROUPS
 from touchd.drivers.search.listen import USUAL_BAUDS, Chunk
 from touchd.drivers.search.search import Finding, search
@@ -164,7 +163,7 @@ def _other_baud(sensor: SensorSettings, opened: Line) -> int | None:
             forget_waiting(opened)
         except (OSError, ValueError, SensorError):
             continue
-        if listen(opened, parser_of(sensor.described), TRY_BAUD_S, start_s=TRY_BAUD_S).frames:
+        if listen(opened, FrameParser(sensor.described), TRY_BAUD_S, start_s=TRY_BAUD_S).frames:
             return baud
     return None
 
@@ -224,7 +223,7 @@ def _why_no_frame(data: bytes, described: PadFormat) -> tuple[str, str]:
 
     The kinds are "clock" and "format".
     """
-    parser = parser_of(described)
+    parser = FrameParser(described)
     parser.feed(data, 0.0)
     counts = parser.counts
     if counts.duplicates + counts.bad_time >= LEAST_FRAMES:

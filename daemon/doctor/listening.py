@@ -83,4 +83,4 @@ def listen(
             frames.append(frame)
             is_enough |= enough(frame)
     damaged = parser.counts.bad - damaged_before if frames else 0
-    return Sample(tuple(frames), damaged, tuple(chunks), now_s, broke_off, parser.clock.dates_frames)
+    return Sample(tuple(frames), damaged, tuple(chunks), now_s, broke_off, parser.dates_frames)

@@ -214,7 +214,6 @@ class _LineFaults:
 
     def update(self, now_s: float) -> None:
         """Compare the counts every COMPARE_S of arrival; look at the clock and for restarts each time."""
-        self._note("clock", self._parser.clock.note)
         if self._parser.counts.restarts != self._restarts:
             self._restarts = self._parser.counts.restarts
             self._restarts_s.append(now_s)

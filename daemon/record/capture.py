@@ -15,8 +15,8 @@ from touchd.daemon.record.who import Setting
 from touchd.drivers.frame import CLOCK_MODULUS, MIN_RATE_HZ, NO_TOUCH, Frame, SensorState
 from touchd.drivers.pad.grid import Ring
 from touchd.drivers.pad.pace import clock_ms, pace_of
+from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import check_port
-from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.pad.sensor import FrameQueue, Sensor
 from touchd.drivers.recording import Recording
 
@@ -94,7 +94,7 @@ class PadReader:
         sensor = settings.sensor
         self._settings = settings
         self._queue = FrameQueue()
-        self._sensor = Sensor(sensor.port, sensor.baud, parser_of(sensor.described), self._queue)
+        self._sensor = Sensor(sensor.port, sensor.baud, FrameParser(sensor.described), self._queue)
         self._taxels = TaxelFaults()
         self._away = ""
 

@@ -3,7 +3,8 @@
 import numpy as np
 
 from touchd.drivers.frame import MAX_COUNT, Counts
-from touchd.drivers.pad.binary import PLAIN_CELLS, U12_BITS, checksum
+from touchd.drivers.pad.binary import CLOCK_BYTES, PLAIN_CELLS, U12_BITS, checksum
+from touchd.drivers.pad.clock import UNITS_MS
 from touchd.drivers.pad.format import PadFormat, Values
 
 
@@ -18,7 +19,7 @@ def encode_values(described: PadFormat, values: Values, sensor_ms: int | None) -
     Text with an `end` has a line for each row, other text one line for the frame. If numbers are skipped, the
     first of them is the row's number or the clock.
     """
-    time = (sensor_ms or 0) % 2**32
+    time = round((sensor_ms or 0) / (UNITS_MS[described.clock] or 1)) % 2**32
     if described.framing == "text":
         lines = values.reshape(-1, described.columns if described.end else described.cells).tolist()
         firsts = range(len(lines)) if described.end else [time]
@@ -29,10 +30,10 @@ def encode_values(described: PadFormat, values: Values, sensor_ms: int | None) -
             for first, line in zip(firsts, lines, strict=True)
         ]
         return "\n".join([*text, *([described.end] if described.end else []), ""]).encode()
-    body = time.to_bytes(4, described.order) if described.clock else b""
+    body = time.to_bytes(CLOCK_BYTES, described.order) if described.has_clock else b""
     body += bytes(described.skip) + _cells(described, values.ravel()) + bytes(described.tail)
     if described.checksum != "none":
-        body += bytes([checksum(described, body, int(values.sum()) + time * described.clock)])
+        body += bytes([checksum(described, body, int(values.sum()) + time * described.has_clock)])
     return bytes.fromhex(described.header) + body + bytes.fromhex(described.footer)
 
 

@@ -1,22 +1,16 @@
-"""Binary frames: bytes in, frames out, no I/O.
+"""Finds frames of bytes: bytes in, values out.
 
-Which frames are intact: read from the left, a window of one frame's length is well-formed if it begins with
-the header and its checksum, if any, is right; the sensor's clock, if any, then decides (see `clock.py`).
-Require a following header of windows that lost bytes could have made: those with values above full scale
-and, without a checksum, those that contain the header again and, if the header is short, the first one after
-a gap.
-Refusing a window skips only its first byte, so that a true frame that begins inside it is found. Some
-damage cannot be detected: the fabric pad's checksum sums low bytes only, so a flip in the upper byte of a
-value passes.
+A frame begins with the header. It counts if another header follows it. The next header need not be awaited
+where its checksum is right and no frame with a right checksum begins inside, or, without a checksum, where it
+directly follows a frame and does not hold the header again; unless a value is above full scale, as after lost
+bytes. Otherwise the search goes on one byte later.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.drivers.frame import Frame
-from touchd.drivers.pad.format import PadFormat, Values
-from touchd.drivers.pad.parser import FrameParser
-from touchd.drivers.pad.protocol_counts import Damage
+from touchd.drivers.frame import ProtocolCounts
+from touchd.drivers.pad.format import PadFormat, Sent, Values
 
 # A header this long hardly ever occurs among cells.
 LONG_HEADER = 3
@@ -33,182 +27,132 @@ PLAIN_CELLS = {
 }
 # The bits of a packed cell in the order in which they come.
 U12_BITS = {"little": np.arange(12, dtype=np.uint16), "big": np.arange(12, dtype=np.uint16)[::-1]}
+CLOCK_BYTES = 4
 
 
 def frame_bytes(described: PadFormat) -> int:
     """Return the length of a pad's binary frame."""
     cells = -(-described.cells * CELL_BITS[described.cell] // 8)
     around = described.skip + described.tail + (described.checksum != "none")
-    return len(described.first_bytes) + 4 * described.clock + cells + around
+    return len(described.first_bytes) + CLOCK_BYTES * described.has_clock + cells + around
 
 
-class BinaryFrames(FrameParser):
-    """Parser for frames with a header or a footer; keeps less than two frames' bytes between calls.
+class BinaryFraming:
+    """Finds frames with a header or a footer; without either, a datagram of a frame's length is a frame.
 
     A footer is read as part of the next frame's header, so bytes before the first footer are never used.
+    Keeps less than two frames' bytes between calls.
     """
 
-    def __init__(self, described: PadFormat) -> None:
-        super().__init__(described)
+    def __init__(self, described: PadFormat, counts: ProtocolCounts) -> None:
+        self._format = described
+        self._counts = counts
         self._header = described.first_bytes
         self._size = frame_bytes(described)
-        self._cells_at = len(self._header) + 4 * described.clock + described.skip
-        self._position = 0
-        # Bytes still to be dropped that belong to a damaged frame already counted.
-        self._claimed = 0
-        # The window that began one byte before the position was refused: both lie in one run of header bytes.
-        self._in_refused_run = False
-        # The window at the position follows a frame directly.
+        self._cells_at = len(self._header) + CLOCK_BYTES * described.has_clock + described.skip
+        self.buffer = b""
+        # Bytes dropped since the last frame; whether the next byte follows a frame directly.
+        self._gap = 0
         self._in_step = False
 
-    def _parse(self, data: bytes, host_s: float) -> list[Frame]:
-        self._buffer += data
-        frames: list[Frame] = []
-        while (
-            self._position < len(self._buffer)
-            and self._seek_header()
-            and (taken := self._take(host_s)) is not None
-        ):
-            frames += taken
-        self._buffer = self._buffer[self._position :]
-        self._position = 0
-        return frames
-
     def reset(self) -> None:
-        super().reset()
-        self._claimed = 0
-        self._in_refused_run = self._in_step = False
+        """Forget half a frame."""
+        self._counts.bytes_dropped += len(self.buffer)
+        self.buffer = b""
+        self._gap, self._in_step = 0, False
 
-    def damage_in(self, window: bytes) -> Damage | None:
-        """Say what is wrong with a whole window that begins with the header; None when it is well-formed."""
-        values = self._sound(window)
-        return values if isinstance(values, str) else None
+    def feed(self, data: bytes, host_s: float) -> list[Sent]:
+        """Take the next bytes; return the frames that they completed."""
+        if not self._header:
+            return self._datagram(data, host_s)
+        self.buffer += data
+        found: list[Sent] = []
+        at = 0
+        while (at := self._next_header(at)) + self._size <= len(self.buffer):
+            window = self.buffer[at : at + self._size]
+            values = self._values_in(window)
+            sent = None if values is None else self._sent(window, values, host_s)
+            is_frame = sent is not None and self._is_confirmed(sent, at)
+            if is_frame is None:
+                break
+            if sent is not None and is_frame:
+                found.append(sent)
+                at += self._size
+                self._gap, self._in_step = 0, True
+            else:
+                at += self._drop(1)
+        self.buffer = self.buffer[at:]
+        return found
 
-    def values_in(self, window: bytes) -> Values:
-        """Return the values (cells,) of a whole window."""
-        return decode_cells(self.format, window[self._cells_at :])
+    def _next_header(self, at: int) -> int:
+        """Return where the next header begins, or may begin: its rest is still to come."""
+        start = self.buffer.find(self._header, at)
+        if start < 0:
+            start = max(at, len(self.buffer) - len(self._header) + 1)
+        return at + self._drop(start - at)
 
-    def _sound(self, window: bytes) -> Values | Damage:
-        """Return the values (cells,) of a well-formed window, or what is wrong with it."""
-        described = self.format
+    def _values_in(self, window: bytes) -> Values | None:
+        """Return the values (cells,) of a whole window; None if they cannot be a frame's."""
+        described = self._format
         # A quick way through a long run of header bytes. Cells may begin with the bytes of a short header.
         if len(self._header) >= LONG_HEADER and window.startswith(self._header, self._cells_at):
-            return "bad_framing"
-        values = self.values_in(window)
+            return None
+        values = decode_cells(described, window[self._cells_at :])
         if described.cell == "f32" and not np.isfinite(values).all():
-            return "bad_value"
+            return None
         if described.checksum == "none":
             return values
-        body = window[len(self._header) : -1]
-        total = int(sum(values.tolist())) + (self.time_in(window) if described.clock else 0)
-        return "bad_checksum" if checksum(described, body, total) != window[-1] else values
+        total = int(sum(values.tolist())) + (self._time_in(window) if described.has_clock else 0)
+        is_right = checksum(described, window[len(self._header) : -1], total) == window[-1]
+        return values if is_right else None
 
-    def _is_followed(self, window: bytes, highest: float) -> bool | None:
-        """Whether the next header confirms a window, or need not; None if more bytes are needed to know."""
-        header = self._header
-        is_sure = self.format.checksum != "none" or (
-            window.find(header, 1) < 0 and (self._in_step or len(header) >= LONG_HEADER)
-        )
-        if not header or (is_sure and highest <= self.format.full_scale):
+    def _is_confirmed(self, sent: Sent, at: int) -> bool | None:
+        """Whether a sound window, which begins at `at`, is a frame; None if more bytes are needed to know."""
+        is_summed = self._format.checksum != "none"
+        end = at + self._size
+        inside = self.buffer.find(self._header, at + 1, end)
+        while is_summed and inside >= 0:
+            other = self.buffer[inside : inside + self._size]
+            if len(other) < self._size:
+                return None
+            if self._values_in(other) is not None:
+                break
+            inside = self.buffer.find(self._header, inside + 1, end)
+        if inside < 0 and (is_summed or self._in_step) and sent.highest <= self._format.full_scale:
             return True
-        at = self._position + self._size
-        after = self._buffer[at : at + len(header)]
-        if not header.startswith(after):
+        after = self.buffer[end : end + len(self._header)]
+        if not self._header.startswith(after):
             return False
-        return True if after == header else None
+        return True if after == self._header else None
 
-    def time_in(self, window: bytes) -> int:
-        """Return the four bytes after the header of a whole window as its clock."""
-        at = len(self._header)
-        return int.from_bytes(window[at : at + 4], self.format.order)
-
-    def _seek_header(self) -> bool:
-        """Move to the next header, dropping what comes before; False when none is in the buffer."""
-        start = self._buffer.find(self._header, self._position)
-        if start >= 0:
-            self._drop(start - self._position)
-            return True
-        # The last bytes may be the beginning of a header whose rest is still to come.
-        lengths = range(len(self._header) - 1, 0, -1)
-        begun = next((n for n in lengths if self._buffer.endswith(self._header[:n], self._position)), 0)
-        self._drop(len(self._buffer) - self._position - begun)
-        return False
-
-    def _take(self, host_s: float) -> list[Frame] | None:
-        """Judge the window at the position; return the frames to deliver, None if bytes are missing."""
-        window = self._buffer[self._position : self._position + self._size]
-        if len(window) < self._size:
-            return None
-        values = self._sound(window)
-        if isinstance(values, str):
-            self._refuse(values)
+    def _datagram(self, data: bytes, host_s: float) -> list[Sent]:
+        """Take a datagram of bare cells: a frame, or refused."""
+        values = self._values_in(data) if len(data) == self._size else None
+        if values is None:
+            self._counts.damaged += bool(data)
+            self._counts.bytes_dropped += len(data)
             return []
+        return [self._sent(data, values, host_s)]
+
+    def _sent(self, window: bytes, values: Values, host_s: float) -> Sent:
+        stamp = self._time_in(window) if self._format.has_clock else None
         # Caches are cold when the reader wakes: the maximum of a list takes half as long as NumPy's.
-        highest = max(values.tolist())
-        is_followed = self._is_followed(window, highest)
-        if is_followed is None:
-            return None
-        if not is_followed:
-            self._refuse("bad_framing")
-            return []
-        sensor_ms = self.time_in(window) if self.format.clock else None
-        if self._header and sensor_ms is not None and not self.clock.is_on_time(sensor_ms):
-            hides_another = self._hides_another()
-            if hides_another is None:
-                return None
-            if hides_another:
-                self._refuse("bad_time")
-                return []
-        self._position += self._size
-        self._claimed = 0
-        self._in_refused_run = False
-        self._in_step = True
-        return self._judge(sensor_ms, host_s, values, highest)
+        return Sent(stamp, values, max(values.tolist()), host_s)
 
-    def _hides_another(self) -> bool | None:
-        """Whether a well-formed window begins inside the one at the position; None: more bytes are needed.
+    def _time_in(self, window: bytes) -> int:
+        """Return the bytes after the header of a whole window as its clock."""
+        at = len(self._header)
+        return int.from_bytes(window[at : at + CLOCK_BYTES], self._format.order)
 
-        If so, the outer one, whose clock jumps, is not a frame.
-        """
-        inner = self._position
-        while (inner := self._buffer.find(self._header, inner + 1, self._position + self._size)) >= 0:
-            window = self._buffer[inner : inner + self._size]
-            if len(window) < self._size:
-                return None
-            if self.damage_in(window) is None:
-                return True
-        return False
-
-    def _refuse(self, damage: Damage) -> None:
-        """Refuse the window at the position and skip its first byte; a run of header bytes counts once."""
-        if not self._in_refused_run:
-            self.counts.refuse(damage)
-            self._claimed = self._size
-        self._drop(1 if self._header else self._size)
-        self._in_refused_run = bool(self._header)
-
-    def _drop(self, count: int) -> None:
-        """Skip bytes outside frames; what no refusal covers counts as one lost frame per frame length."""
-        if count == 0:
-            return
-        self._position += count
-        self._in_refused_run = self._in_step = False
-        self.counts.bytes_dropped += count
-        unexplained = count - self._claimed
-        lost = max(0, -(-unexplained // self._size))
-        self.counts.bad_framing += lost
-        self._claimed = lost * self._size - unexplained
-
-
-class Datagrams(BinaryFrames):
-    """Parser for a pad that sends bare cells over UDP: each datagram is a frame, or is refused."""
-
-    def _parse(self, data: bytes, host_s: float) -> list[Frame]:
-        if len(data) != self._size:
-            if data:
-                self.counts.refuse("bad_framing", len(data))
-            return []
-        return super()._parse(data, host_s)
+    def _drop(self, count: int) -> int:
+        """Count bytes outside frames, and a damaged frame for each begun length of one; return `count`."""
+        if count:
+            before = -(-self._gap // self._size)
+            self._gap += count
+            self._counts.damaged += -(-self._gap // self._size) - before
+            self._counts.bytes_dropped += count
+            self._in_step = False
+        return count
 
 
 def checksum(described: PadFormat, body: bytes, total: int) -> int:

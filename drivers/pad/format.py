@@ -1,14 +1,15 @@
 """What a pad sends, described rather than programmed: framing, cells, clock, checksum, orientation."""
 
+import json
 from functools import lru_cache
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from touchd.drivers.errors import TouchdError
-from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS, Counts
+from touchd.drivers.frame import COLUMNS, MAX_COUNT, ROWS, Counts
 
 SHORTEST_SIDE, LONGEST_SIDE = 4, 64
 Side = Annotated[int, msgspec.Meta(ge=SHORTEST_SIDE, le=LONGEST_SIDE)]
@@ -19,6 +20,19 @@ CELL_TOP = {"u8": 255, "u12": 4095, "u16": 65535, "i16": 32767}
 Grid = NDArray[np.float32]
 Values = NDArray[np.generic]
 """The cells of a frame as sent, in order: unsigned, signed or float."""
+
+
+class Sent(NamedTuple):
+    """A well-formed frame as it was sent.
+
+    stamp: its clock, None without one. values: (cells,). highest: of the values. host_s: when its last byte
+    arrived.
+    """
+
+    stamp: float | None
+    values: Values
+    highest: float
+    host_s: float
 
 
 class FormatError(TouchdError, ValueError):
@@ -39,9 +53,10 @@ def _check_hex(name: str, text: str) -> None:
 class PadFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """How a pad's bytes become pressure; docs/pads.md explains each key.
 
-    A binary frame is header, clock, skip, cells, tail or checksum, footer. A frame of text is one line of all
-    cells, or several lines with equally many numbers; skip and tail are numbers of each line. Values above
-    full_scale are cut to it, negative ones to 0.
+    A binary frame is header, clock (uint32), skip, cells, tail or checksum, footer. A frame of text is one
+    line of all cells, or several lines with equally many numbers; skip and tail are numbers of each line, and
+    the first one skipped in a line of all cells is its clock. Values above full_scale are cut to it, negative
+    ones to 0.
     """
 
     framing: Literal["text", "binary"] = "binary"
@@ -52,11 +67,10 @@ class PadFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     end: str = ""
     header: str = ""
     footer: str = ""
-    clock: bool = False
+    clock: Literal["none", "ms", "us", "s"] = "none"
     cell: Literal["u8", "u12", "u16", "i16", "f32"] = "u16"
     order: Literal["little", "big"] = "little"
     checksum: Literal["none", "values", "sum8", "xor8"] = "none"
-    rate_hz: Annotated[float, msgspec.Meta(ge=10, le=500)] = FRAME_RATE_HZ
     full_scale: Annotated[float, msgspec.Meta(gt=0, le=4e9)] = MAX_COUNT
     invert: bool = False
     crop: Annotated[int, msgspec.Meta(ge=0, le=28)] = 0
@@ -79,10 +93,12 @@ class PadFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
     def _check_text(self) -> None:
         plain = PadFormat()
-        for name in ("header", "footer", "clock", "cell", "order", "checksum"):
+        for name in ("header", "footer", "cell", "order", "checksum"):
             if getattr(self, name) != getattr(plain, name):
-                what = "text has rows, columns, skip, tail and end"
+                what = "text has rows, columns, skip, tail, clock and end"
                 raise FormatError(f"{name} is for a binary format; {what}")
+        if self.has_clock and not self.skip:
+            raise FormatError("clock is the first number that skip leaves out: set skip to 1 or more")
         if self.end != self.end.strip() or not self.end.isprintable():
             raise FormatError(
                 f"end {self.end!r} can never match: lines are compared without line ends and outer spaces; "
@@ -110,6 +126,11 @@ class PadFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         return (self.framing, self.skip, self.tail, self.end, self.header, self.footer, self.clock, *cells)
 
     @property
+    def has_clock(self) -> bool:
+        """Whether frames carry a clock."""
+        return self.clock != "none"
+
+    @property
     def cells(self) -> int:
         """Values in a frame."""
         return self.rows * self.columns
@@ -126,13 +147,24 @@ class PadFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 PRESETS = {
-    "fabric-grid": PadFormat(header="ffffffff", clock=True, checksum="values", invert=True, crop=1),
-    "csv": PadFormat(framing="text", skip=1, invert=True, crop=1),
-    "csv12": PadFormat(framing="text", skip=1, rows=8, columns=8, full_scale=4095),
+    "fabric-grid": PadFormat(header="ffffffff", clock="ms", checksum="values", invert=True, crop=1),
+    "csv": PadFormat(framing="text", skip=1, clock="ms", invert=True, crop=1),
+    "csv12": PadFormat(framing="text", skip=1, clock="ms", rows=8, columns=8, full_scale=4095),
     "muca": PadFormat(framing="text", rows=12, columns=21, full_scale=255),
     "velostat": PadFormat(framing="text", rows=8, columns=8),
     "m1616": PadFormat(header="aaabac", order="big", rows=16, columns=16),
 }
+
+
+def as_yaml(described: PadFormat) -> str:
+    """Return a description as it stands in the configuration, on one line."""
+    for name, preset in PRESETS.items():
+        if preset == described:
+            return f"format: {name}"
+    always = {"framing": described.framing, "rows": described.rows, "columns": described.columns}
+    fields = always | msgspec.to_builtins(described) | {"full_scale": described.full_scale}
+    shown = {key: f"{value:g}" if key == "full_scale" else json.dumps(value) for key, value in fields.items()}
+    return f"format: {{{', '.join(f'{key}: {value}' for key, value in shown.items())}}}"
 
 
 class Layout:

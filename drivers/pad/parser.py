@@ -1,29 +1,37 @@
-"""The base class of parsers: counts, clock and layout."""
-
-from abc import ABC, abstractmethod
+"""From a pad's bytes to its frames: framing, clock and layout, as described; no I/O."""
 
 import numpy as np
 
-from touchd.drivers.frame import Frame
-from touchd.drivers.pad.clock import FrameClock
-from touchd.drivers.pad.format import PadFormat, Values, layout_of
-from touchd.drivers.pad.protocol_counts import ProtocolCounts
+from touchd.drivers.frame import Frame, ProtocolCounts
+from touchd.drivers.pad.binary import BinaryFraming
+from touchd.drivers.pad.clock import PadClock
+from touchd.drivers.pad.format import PadFormat, Sent, layout_of
+from touchd.drivers.pad.text import TextFraming
 
 # What an ESP32 or ESP8266 prints when it crashes and starts.
 BOOT_LOG = (b"Guru Meditation", b"rst:0x", b"rst cause", b"Brownout detector", b"ESP-ROM:")
 LONGEST_MARK = max(map(len, BOOT_LOG))
 
 
-class FrameParser(ABC):
-    """A parser: drops and counts damaged frames, never raises on them, keeps a bounded number of bytes."""
+class FrameParser:
+    """Parses what a pad sends: drops and counts damaged frames, never raises on them, keeps few bytes."""
 
     def __init__(self, described: PadFormat) -> None:
         self.counts = ProtocolCounts()
         self.format = described
+        self._framing: TextFraming | BinaryFraming = (
+            TextFraming(described, self.counts)
+            if described.framing == "text"
+            else BinaryFraming(described, self.counts)
+        )
         self._layout = layout_of(described)
-        self.clock = FrameClock(self.counts, described.rate_hz)
-        self._buffer = b""
+        self._clock = PadClock(self.counts, described.clock)
         self._tail = b""
+
+    @property
+    def dates_frames(self) -> bool:
+        """Whether the pad's clock dates the frames, so that it does not matter when they are read."""
+        return self._clock.dates_frames
 
     def feed(self, data: bytes, host_s: float) -> list[Frame]:
         """Take bytes that arrived at `host_s` (monotonic seconds); return the frames they completed."""
@@ -32,30 +40,22 @@ class FrameParser(ABC):
         for mark in BOOT_LOG:
             if mark in latest:
                 self.counts.restarted()
-        frames = self._parse(data, host_s)
+        frames = [frame for sent in self._framing.feed(data, host_s) for frame in self._frames(sent)]
         self.counts.frames += len(frames)
         return frames
 
-    @abstractmethod
-    def _parse(self, data: bytes, host_s: float) -> list[Frame]:
-        """Take the next bytes; return the accepted frames that they completed."""
-
     def reset(self) -> None:
         """Forget half a frame and the clock after a reconnect; counts go on."""
-        self.counts.bytes_dropped += len(self._buffer)
-        self._buffer = self._tail = b""
-        self.clock.reset()
+        self._tail = b""
+        self._framing.reset()
+        self._clock.reset()
 
-    def _judge(self, stamp: float | None, host_s: float, values: Values, highest: float) -> list[Frame]:
-        """Return the frames that a well-formed one confirms, itself included.
-
-        stamp: its clock as sent, None for a pad without one. values: (cells,) as sent; those out of range are
-        cut. highest: of the values.
-        """
-        if highest > self.format.full_scale:
+    def _frames(self, sent: Sent) -> list[Frame]:
+        """Return the frames that a well-formed one confirms, itself included; cut values out of range."""
+        values = sent.values
+        if sent.highest > self.format.full_scale:
             self.counts.clipped += 1
             values = np.minimum(values, self.format.full_scale)
         if values.dtype.kind != "u":
             values = np.maximum(values, 0)
-        pressure = self._layout.pressure(values)
-        return self.clock.judge(stamp, host_s, pressure)
+        return self._clock.date(sent.stamp, sent.host_s, self._layout.pressure(values))

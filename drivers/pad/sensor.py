@@ -138,7 +138,7 @@ class Sensor:
                 recent = (recent + data)[-RECENT_BYTES:]
                 if frames := self._hand_over(data, now_s):
                     frame_s, recent = now_s, b""
-                    is_dated = self.parser.clock.dates_frames and len(data) < MOST_UNHURRIED_BYTES
+                    is_dated = self.parser.dates_frames and len(data) < MOST_UNHURRIED_BYTES
                     if can_wait and is_dated and self.frames_together > 1:
                         together_s = FRAME_S * min(self.frames_together, 2 * frames)
                         time.sleep(min(together_s, took_s * MOST_UNHURRIED_BYTES / len(data)))

@@ -1,4 +1,4 @@
-"""Pads that print: lines with numbers in them, bytes in, frames out, no I/O.
+"""Finds frames in lines with numbers: bytes in, values out.
 
 Words, labels (`R0:`, `A7`, `Row 4:`), brackets, other punctuation and terminal escapes are skipped; `nan` and
 `null` read 0. Lines end in LF, CR LF or CR. A frame is one line with all cells, or several lines with equally
@@ -14,9 +14,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from touchd.drivers.frame import Frame
-from touchd.drivers.pad.format import PadFormat
-from touchd.drivers.pad.parser import FrameParser
+from touchd.drivers.frame import ProtocolCounts
+from touchd.drivers.pad.format import PadFormat, Sent
 
 # Room for a number with its label, separators and alignment, and for words beside the numbers of a line.
 CHARACTERS_A_NUMBER = 24
@@ -72,11 +71,13 @@ def _numbers_among_words(line: bytes) -> tuple[list[float], int | None]:
     return numbers, label
 
 
-class TextFrames(FrameParser):
-    """Parser for lines of numbers; the bytes that it keeps are limited by the frame's size."""
+class TextFraming:
+    """Finds frames in lines of numbers; the bytes that it keeps are limited by the frame's size."""
 
-    def __init__(self, described: PadFormat) -> None:
-        super().__init__(described)
+    def __init__(self, described: PadFormat, counts: ProtocolCounts) -> None:
+        self._format = described
+        self._counts = counts
+        self.buffer = b""
         self._around = described.skip + described.tail
         self._longest = CHARACTERS_A_NUMBER * (described.cells + self._around) + CHARACTERS_A_LINE
         self._end = described.end.encode()
@@ -94,40 +95,43 @@ class TextFrames(FrameParser):
         self._run_width = 0
         self._run_leads: Sequence[float] = ()
 
-    def _parse(self, data: bytes, host_s: float) -> list[Frame]:
+    def feed(self, data: bytes, host_s: float) -> list[Sent]:
+        """Take the next bytes; return the frames that they completed."""
         # Where a line begins, a CR belongs to the LF before it.
-        text = (self._buffer + data).lstrip(b"\r")
+        text = (self.buffer + data).lstrip(b"\r")
         ended = ended_at(text)
-        self._buffer = text[ended:]
-        frames: list[Frame] = []
+        self.buffer = text[ended:]
+        frames: list[Sent] = []
         for line in lines_in(text[:ended]):
             if self._skipping:
                 self._skipping = False
-                self.counts.bytes_dropped += len(line) + 1
+                self._counts.bytes_dropped += len(line) + 1
             elif len(line) > self._longest:
                 frames += self._give_up(len(line) + 1)
             else:
                 frames += self._line(line, host_s)
-        if len(self._buffer) > self._longest:
+        if len(self.buffer) > self._longest:
             if self._skipping:
-                self.counts.bytes_dropped += len(self._buffer)
+                self._counts.bytes_dropped += len(self.buffer)
             else:
-                frames += self._give_up(len(self._buffer))
-            self._buffer, self._skipping = b"", True
+                frames += self._give_up(len(self.buffer))
+            self.buffer, self._skipping = b"", True
         return frames
 
     def reset(self) -> None:
-        super().reset()
+        """Forget half a frame."""
+        self._counts.bytes_dropped += len(self.buffer)
+        self.buffer = b""
         self._begin()
 
-    def _give_up(self, length: int) -> list[Frame]:
+    def _give_up(self, length: int) -> list[Sent]:
         """Refuse a line that cannot be one of the pad's."""
-        self.counts.refuse("bad_framing", length)
+        self._counts.refuse(length)
         return self._end_run()
 
-    def _line(self, line: bytes, host_s: float) -> list[Frame]:
+    def _line(self, line: bytes, host_s: float) -> list[Sent]:
         numbers, label = numbers_in(line)
-        described = self.format
+        described = self._format
         count = len(numbers)
         if count == described.cells + self._around:
             ended = self._end_run()
@@ -143,38 +147,38 @@ class TextFrames(FrameParser):
         if count > self._around:
             self._add(numbers, leads, host_s)
         else:
-            self.counts.bytes_dropped += len(line) + 1 if line else 0
+            self._counts.bytes_dropped += len(line) + 1 if line else 0
         return ended
 
-    def _line_before_end(self, line: bytes, numbers: list[float], host_s: float) -> list[Frame]:
+    def _line_before_end(self, line: bytes, numbers: list[float], host_s: float) -> list[Sent]:
         """Take a line of a frame that ends with a text; lines without numbers may stand inside it."""
         if numbers:
             self._run_width = self._run_width or len(numbers)
             if len(numbers) == self._run_width:
                 self._add(numbers, [], host_s)
             else:
-                self._run = [0.0] * (self.format.cells + 1)
+                self._run = [0.0] * (self._format.cells + 1)
         return self._end_run() if line.rstrip().endswith(self._end) else []
 
     def _add(self, numbers: list[float], leads: Sequence[float], host_s: float) -> None:
         self._run_width, self._run_s, self._run_leads = len(numbers), host_s, leads
         # One surplus line shows that the run is not one frame.
-        if len(self._run) <= self.format.cells:
-            self._run += numbers[self.format.skip : len(numbers) - self.format.tail]
+        if len(self._run) <= self._format.cells:
+            self._run += numbers[self._format.skip : len(numbers) - self._format.tail]
 
-    def _end_run(self) -> list[Frame]:
+    def _end_run(self) -> list[Sent]:
         """Close the run of lines before this place; return the frame in it, if it is exactly one."""
         cells, host_s = self._run, self._run_s
         if not cells:
             return []
-        is_broken = not self._is_first_run and self._run_width == self.format.columns + self._around
+        is_broken = not self._is_first_run and self._run_width == self._format.columns + self._around
         self._begin_run()
         self._is_first_run = False
-        if len(cells) == self.format.cells:
+        if len(cells) == self._format.cells:
             return self._frame(cells, [], host_s)
         if is_broken:
-            self.counts.refuse("bad_framing")
+            self._counts.refuse()
         return []
 
-    def _frame(self, cells: list[float], skipped: Sequence[float], host_s: float) -> list[Frame]:
-        return self._judge(skipped[0] if skipped else None, host_s, np.array(cells), max(cells))
+    def _frame(self, cells: list[float], skipped: Sequence[float], host_s: float) -> list[Sent]:
+        return [Sent(skipped[0] if skipped else None, np.array(cells), max(cells), host_s)]

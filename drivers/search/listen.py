@@ -10,8 +10,8 @@ import numpy as np
 
 from touchd.drivers.pad.arrived import is_text
 from touchd.drivers.pad.format import PRESETS
+from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import Line, forget_waiting, read_waiting
-from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.search.binary import tables
 
 # The usual baud rates, the likeliest first; 512000 is that of the lab's Mega build.
@@ -48,7 +48,7 @@ def listen(
 
     enough: called before each read; ends listening when true.
     """
-    silent = parser_of(PRESETS["fabric-grid"])
+    silent = FrameParser(PRESETS["fabric-grid"])
     chunks: list[Chunk] = []
     until_s = time.monotonic() + seconds
     while time.monotonic() < until_s and not enough(chunks):

@@ -15,10 +15,10 @@ from msgspec.structs import replace
 
 from touchd.drivers.frame import MIN_RATE_HZ, Frame
 from touchd.drivers.pad.arrived import has_text, looks_like
-from touchd.drivers.pad.format import LONGEST_SIDE, PRESETS, SHORTEST_SIDE, PadFormat, layout_of
-from touchd.drivers.pad.format_yaml import as_yaml
+from touchd.drivers.pad.binary import CLOCK_BYTES
+from touchd.drivers.pad.format import LONGEST_SIDE, PRESETS, SHORTEST_SIDE, PadFormat, as_yaml, layout_of
+from touchd.drivers.pad.pace import clock_by_ours
 from touchd.drivers.pad.parser import FrameParser
-from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.search import binary, text
 from touchd.drivers.search.listen import MOST_BYTES, Chunk, seconds_of
 from touchd.drivers.search.proof import Placement, movement, objection, pairs, settled, thinned, together
@@ -35,8 +35,10 @@ EXPLAINED = 0.98
 MOSTLY = 0.9
 # The fastest rate of a format, and 5 % for the error of one that is measured over seconds.
 FASTEST_HZ = 525.0
-# The third study's gaps are shorter, and the parser holds frames back for 1.5 s, until it knows their clock.
+# The third study's gaps are shorter.
 LONGEST_PAUSE_S = 2.0
+# A clock may run faster or slower than frames arrive by this share: frames come late.
+CLOSE = 0.2
 # What a preset and a description of the same pad have in common.
 MEANING = attrgetter("framing", "rows", "columns", "full_scale", "invert")
 ADVICE = "print each frame in a line, or a row a line and an empty line after each; begin bytes with a header"
@@ -160,7 +162,7 @@ def _why_none_fits(data: bytes, seen: Survey | None, grid: Grid | None) -> str:
 
 def _parsed(described: PadFormat, chunks: Sequence[Chunk]) -> tuple[FrameParser, list[Frame]]:
     """Return the daemon's parser of a description after all that arrived, and the frames that it read."""
-    parser = parser_of(described)
+    parser = FrameParser(described)
     return parser, [frame for chunk in chunks for frame in parser.feed(*chunk)]
 
 
@@ -173,12 +175,30 @@ def _is_read(described: PadFormat, chunks: Sequence[Chunk]) -> bool:
 def _completed(described: PadFormat, chunks: Sequence[Chunk]) -> PadFormat:
     """Return a description with the clock and the checksum beside its cells, or a preset that says more."""
     more = [each for each in PRESETS.values() if MEANING(each) == MEANING(described)]
-    if described.framing == "binary" and described.skip >= 4:
-        clocked = replace(described, clock=True, skip=described.skip - 4)
-        described = clocked if _parsed(clocked, chunks)[0].clock.dates_frames else described
+    described = next((each for each in _clocked(described) if _is_dated(each, chunks)), described)
     if described.framing == "binary" and described.tail == 1:
         more += [replace(described, tail=0, checksum=kind) for kind in ("values", "sum8", "xor8")]
-    return next((each for each in more if _is_read(each, chunks)), described)
+    return next((each for each in more if _is_read(each, chunks) and _is_dated(each, chunks)), described)
+
+
+def _clocked(described: PadFormat) -> Iterator[PadFormat]:
+    """Yield a description with the first of what it skips taken as a clock, in each unit."""
+    in_bytes = CLOCK_BYTES if described.framing == "binary" else 0
+    if described.skip >= max(in_bytes, 1):
+        for unit in ("ms", "us", "s"):
+            yield replace(described, clock=unit, skip=described.skip - in_bytes)
+
+
+def _is_dated(described: PadFormat, chunks: Sequence[Chunk]) -> bool:
+    """Whether a description's clock, if it has one, orders nearly all frames and runs as they arrive."""
+    if not described.has_clock:
+        return True
+    parser, frames = _parsed(described, chunks)
+    counts = parser.counts
+    if not parser.dates_frames or len(frames) < text.LEAST_FRAMES or counts.restarts:
+        return False
+    is_steady = counts.bad_time <= (1 - EXPLAINED) * len(frames) and counts.duplicates <= len(frames)
+    return is_steady and abs(clock_by_ours(frames) - 1) <= CLOSE
 
 
 def _unexplained(placed: Placement, described: PadFormat, chunks: Sequence[Chunk]) -> str:

@@ -50,7 +50,7 @@ from touchd.daemon.sinks.touch_store import (
     kept_touches,
 )
 from touchd.drivers.frame import FRAME_RATE_HZ, SensorState
-from touchd.drivers.pad.protocol import parser_of
+from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.recording import read_recordings
 from touchd.drivers.robot.link import RobotLink
 from touchd.drivers.robot.session import RobotSettings
@@ -131,7 +131,7 @@ class Soak:
         port = free_port()
         settings = Settings(live=LiveSettings(port=port))
         model = load_model(settings)
-        self._parser = parser_of(settings.sensor.described)
+        self._parser = FrameParser(settings.sensor.described)
         self._journal = Journal(self._path, max_bytes=JOURNAL_BYTES, keep=JOURNAL_KEEP)
         self._journal_sink = JournalSink(self._journal)
         self._link = RobotLink(RobotSettings(url=self.robot.url), open_session=self.robot.open_session)

@@ -14,7 +14,6 @@ from touchd.drivers.fakes.encode import encode_frame
 from touchd.drivers.frame import Counts
 from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.pad.parser import FrameParser
-from touchd.drivers.pad.protocol import parser_of
 from touchd.model.classifier import Classifier
 
 PERIOD_S = 3.0
@@ -42,7 +41,7 @@ class Board:
         self.period_s, self.pause_s = period_s, pause_s
         self.events: list[Event] = []
         self.now_s = 100.0
-        self.parser: FrameParser = parser_of(described)
+        self.parser: FrameParser = FrameParser(described)
 
     def feel(self, model: Classifier, *pressures: Scans) -> "Board":
         """Send what the pad feels."""
@@ -114,7 +113,7 @@ def test_a_board_that_often_restarts_is_reported(
 
 @pytest.mark.parametrize("described", [FABRIC, CSV, WITHOUT_CLOCK], ids=["binary", "text", "rows"])
 def test_a_long_register_dump_and_the_boot_log_after_it_are_one_restart(described: PadFormat) -> None:
-    parser, still, now_s = parser_of(described), MadePad().counts(nothing(3.0)), 100.0
+    parser, still, now_s = FrameParser(described), MadePad().counts(nothing(3.0)), 100.0
     for number in range(3 * len(still)):
         clock_ms = 7 + 1000 * (number % len(still)) // 54
         if number in (len(still), 2 * len(still)):

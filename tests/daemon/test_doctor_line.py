@@ -28,8 +28,8 @@ from touchd.drivers.fakes.encode import encode_frame
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import Frame
 from touchd.drivers.pad.format import PRESETS, PadFormat
+from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import SensorError, open_port
-from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.search.search import Finding, search
 
 TOUCHED = stream_of(next(iter(RECORDINGS)))
@@ -95,7 +95,7 @@ def protocol_of(
     pad: FakePort, sensor: SensorSettings = SETTINGS.sensor, find: Callable[[], Finding] | None = None
 ) -> Check:
     with pad, open_port(pad.path, 512_000) as opened:
-        seen = listen(opened, parser_of(sensor.described), 1.0, start_s=1.5)
+        seen = listen(opened, FrameParser(sensor.described), 1.0, start_s=1.5)
         return check_protocol(seen, sensor, opened, find or (lambda: search(seen.chunks, None)))
 
 
@@ -111,9 +111,9 @@ def test_a_wrong_baud_rate_is_not_taken_for_another_pad() -> None:
 
 def test_a_pad_unplugged_while_listening_is_reported() -> None:
     with pad_of(resting(4.0)) as port, open_port(port.path, 512_000) as opened:
-        first = listen(opened, parser_of(SETTINGS.sensor.described), 0.3)
+        first = listen(opened, FrameParser(SETTINGS.sensor.described), 0.3)
         port.stop()
-        after = listen(opened, parser_of(SETTINGS.sensor.described), 0.3)
+        after = listen(opened, FrameParser(SETTINGS.sensor.described), 0.3)
     assert len(first.frames) > 5
     assert "unplugged" in check_protocol(after, SETTINGS.sensor, opened, lambda: Finding(None, "", "")).found
 
@@ -128,7 +128,7 @@ def test_a_server_that_is_busy_is_quoted_and_no_cable_blamed(is_flushed: bool) -
             connection.close()
             if is_flushed:
                 opened.reset_input_buffer()
-            seen = listen(opened, parser_of(sensor.described), 1.0)
+            seen = listen(opened, FrameParser(sensor.described), 1.0)
             check = check_protocol(seen, sensor, opened, lambda: Finding(None, "", ""))
     assert "'Port already in use'" in check.found
     assert check.advice == ""
@@ -151,7 +151,7 @@ def test_a_wrong_clock_is_distinguished_from_a_slow_pad() -> None:
     def checked(step_ms: float, step_s: float, late_s: float = 0.0) -> Check:
         frames = [Frame(round(step_ms * i), step_s * i, np.zeros((8, 8), np.uint16)) for i in range(400)]
         frames[-1] = replace(frames[-1], host_s=frames[-1].host_s + late_s)
-        return check_rate(Sample(tuple(frames), 0, (), frames[-1].host_s, "", has_clock=True))
+        return check_rate(Sample(tuple(frames), 0, (), frames[-1].host_s, "", has_clock="ms"))
 
     clock = checked(18, 0.009, late_s=0.3)
     assert "its clock runs 2.00 times as fast" in clock.found
@@ -173,11 +173,11 @@ def test_a_wrong_clock_is_distinguished_from_a_slow_pad() -> None:
 @pytest.mark.parametrize("has_clock", [True, False])
 @once_in_three
 def test_jitter_by_the_pads_clock_is_reported_only_where_it_has_one(has_clock: bool) -> None:
-    described = PadFormat(framing="text", rows=8, columns=8, skip=1 if has_clock else 0)
+    described = PadFormat(framing="text", rows=8, columns=8, skip=1, clock="ms" if has_clock else "none")
     with (
         pad_of(resting(), partial(encode_frame, described)) as pad,
         open_port(pad.path, 512_000) as opened,
     ):
-        checked = check_rate(listen(opened, parser_of(described), 2.0))
+        checked = check_rate(listen(opened, FrameParser(described), 2.0))
     assert ("by the pad's clock" in checked.found) == has_clock
     assert "ms on arrival" in checked.found

@@ -16,8 +16,8 @@ from touchd.daemon.doctor.values import (
     is_pressed,
 )
 from touchd.drivers.fakes.hand import simulate
+from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import open_port
-from touchd.drivers.pad.protocol import parser_of
 
 
 def test_a_sound_pad_at_rest_has_only_living_taxels() -> None:
@@ -102,7 +102,7 @@ def test_not_pressing_the_corner_is_no_fault() -> None:
     counts = resting(20.0)
     counts[100:, 0, 0] += 300
     with pad_of(counts, speed=4.0) as port, open_port(port.path, 512_000) as opened:
-        parser = parser_of(SETTINGS.sensor.described)
+        parser = FrameParser(SETTINGS.sensor.described)
         rest = np.median(counts[:100], axis=0)
         found = listen(opened, parser, 15.0, enough=lambda frame: is_pressed(frame, rest))
     assert check_orientation(found, rest, SETTINGS).verdict == "ok"

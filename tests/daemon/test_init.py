@@ -67,7 +67,7 @@ def test_the_pads_port_and_baud_rate_are_found(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(init, "USUAL_BAUDS", (115_200, 57_600))
     monkeypatch.setattr(init, "DEFAULT_PORT", "none")
     monkeypatch.setattr(hand, "LISTEN_S", 2.0)
-    with pad_read_too_fast(STREAM.counts, termios.B57600, PRESETS["fabric-grid"]) as pad:
+    with pad_read_too_fast(STREAM.counts, termios.B57600, PRESETS["fabric-grid"], pace=1.0) as pad:
         monkeypatch.setattr(init, "comports", lambda: [Found("/dev/null"), Found(pad.path)])
         assert write() == 0
     settings = load(FILE)

@@ -29,7 +29,6 @@ from touchd.drivers.frame import CLOCK_MODULUS, Counts, Frame, SensorState
 from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.grid import MAX_GAP_MS
 from touchd.drivers.pad.parser import FrameParser
-from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.recording import Stream, ideal_clock_ms, read_recordings, realign, splice
 
 RATE_HZ = 54
@@ -307,8 +306,8 @@ def test_ten_minutes_of_real_touches_have_no_finding(tmp_path: Path) -> None:
     assert faults_in(counts) == []
 
 
-SENT = PadFormat(framing="text", rows=8, columns=8, skip=1, full_scale=4095)
-CONFIGURED = PadFormat(framing="text", rows=8, columns=8, skip=1, full_scale=1023)
+SENT = PadFormat(framing="text", rows=8, columns=8, skip=1, clock="ms", full_scale=4095)
+CONFIGURED = PadFormat(framing="text", rows=8, columns=8, skip=1, clock="ms", full_scale=1023)
 SET = "if firm presses do that, set a larger one in sensor.format"
 ABOVE = f"COM3: values above full_scale 1023 are cut to it; {SET}"
 MANY = "5% of the last frames were damaged on the way"
@@ -351,7 +350,7 @@ def faulty(**every: int) -> list[bytes]:
 @pytest.mark.parametrize(
     ("parser", "packets", "where", "warning"),
     [
-        (parser_of(CONFIGURED), firm_presses(0), "COM3", ABOVE),
+        (FrameParser(CONFIGURED), firm_presses(0), "COM3", ABOVE),
         (FabricGrid(), faulty(flip_bit_every=20), "COM3", f"COM3: {MANY}; {TRY}"),
         (FabricGrid(), faulty(flip_bit_every=20), UDP, f"{UDP}: {MANY}; does another board send there too?"),
         (FabricGrid(), faulty(), "COM3", None),
@@ -373,14 +372,14 @@ def test_frames_lost_on_the_line_are_logged_with_advice(
 
 def test_continuing_losses_on_the_line_are_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     presses = [packet for turn in range(20) for packet in firm_presses(540 * turn)]
-    watch(parser_of(CONFIGURED), presses, intervals=20)
+    watch(FrameParser(CONFIGURED), presses, intervals=20)
     assert caplog.messages == [ABOVE]
 
 
 @pytest.mark.parametrize(
     ("parser", "packets"),
     [
-        (parser_of(CONFIGURED), firm_presses(0) + pressed(100, range(540, 1620))),
+        (FrameParser(CONFIGURED), firm_presses(0) + pressed(100, range(540, 1620))),
         (
             FabricGrid(),
             faulty(flip_bit_every=20)[:540] + [encode_fabric_grid(*frame) for frame in later(1080)],
@@ -428,20 +427,9 @@ def test_what_a_board_prints_as_it_restarts_is_not_damage(
     for second in range(round(1.5 * COMPARE_S)):
         monitor.on_frame(Frame(1000 * second, float(second), still), restarted=False)
         parser.counts.frames += 54
-        parser.counts.bad_framing += 5
+        parser.counts.damaged += 5
         parser.counts.restarts = restarts
     assert any("damaged" in message for message in caplog.messages) == (not restarts)
-
-
-def test_a_clock_that_is_not_used_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
-    parser = parser_of(SENT)
-    monitor = PadMonitor(parser=parser, where="COM3")
-    still = np.zeros((8, 8), np.uint16)
-    for number in range(540):
-        for frame in parser.feed(encode_frame(SENT, still, 2 * number), number / 54):
-            monitor.on_frame(frame, restarted=False)
-    (warning,) = caplog.messages
-    assert warning.startswith("COM3: the pad's clock counts 108 in a second, neither milliseconds")
 
 
 def states_of(monitor: PadMonitor, times_ms: Iterable[int], at_s: float = 0.0) -> list[SensorState]:

@@ -41,8 +41,8 @@ from touchd.daemon.sinks.touch_store import folder_of, kept_touches
 from touchd.daemon.sinks.touches import decode, read_journal
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.pad.format import PRESETS, PadFormat
+from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import open_port, read_waiting
-from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.queue import Signal
 from touchd.drivers.recording import Stream, ideal_clock_ms
 from touchd.drivers.robot.session import RobotSettings
@@ -274,7 +274,7 @@ def test_replay_plays_as_the_pad_that_is_named(tmp_path: Path) -> None:
     with Program(*TOUCHD, "replay", GESTURES, "-c", path, "--pad", "arm") as replay:
         try:
             with open_port(replay.stdout.readline().strip(), 115200) as opened:
-                parser = parser_of(PRESETS["m1616"])
+                parser = FrameParser(PRESETS["m1616"])
                 while not parser.feed(read_waiting(opened, parser), 0.0):
                     pass
         finally:

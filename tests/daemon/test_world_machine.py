@@ -51,7 +51,7 @@ from touchd.daemon.sinks.journal import Journal, JournalSink
 from touchd.daemon.sinks.sink import EventFanout
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import SensorState
-from touchd.drivers.pad.protocol import parser_of
+from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.robot.link import RobotLink
 from touchd.drivers.robot.session import RobotSettings
 
@@ -161,7 +161,7 @@ class World(RuleBasedStateMachine):
         for sink in (*self.fanout.sinks, self.log):
             sink.start()
         clock = Clock(monotonic_s=lambda: self.now_s, epoch_s=lambda: 1795168800.0 + self.now_s)
-        self.parser, self.encode = parser_of(SensorSettings().described), encoder_for(SensorSettings())
+        self.parser, self.encode = FrameParser(SensorSettings().described), encoder_for(SensorSettings())
         monitor = PadMonitor(parser=self.parser)
         self.pipeline = Pipeline(PipelineSettings(), Scripted(), self.emit, clock, monitor=monitor)
 

@@ -9,7 +9,7 @@ from rigs.formats import CsvLines, encode_csv_line
 from rigs.wire import PERIOD_MS, assert_are, counts_of, fed
 
 from touchd.drivers.pad.format import PRESETS, PadFormat, layout_of
-from touchd.drivers.pad.protocol import parser_of
+from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.text import numbers_in
 
 
@@ -22,7 +22,7 @@ def lines(numbers: Sequence[int]) -> bytes:
 
 
 def test_lines_without_a_clock_carry_their_arrival_time() -> None:
-    parser = parser_of(msgspec.structs.replace(PRESETS["csv"], skip=0))
+    parser = FrameParser(msgspec.structs.replace(PRESETS["csv"], skip=0, clock="none"))
     printed = encode_csv_line(counts_of(3), None).split(b",", 1)[1]
     parser.feed(printed, 1.0)
     (frame,) = parser.feed(printed, 2.5)
@@ -31,7 +31,7 @@ def test_lines_without_a_clock_carry_their_arrival_time() -> None:
 
 
 def test_the_line_that_a_reconnect_cut_is_not_used() -> None:
-    parser = parser_of(msgspec.structs.replace(PRESETS["csv"], skip=0))
+    parser = FrameParser(msgspec.structs.replace(PRESETS["csv"], skip=0, clock="none"))
     printed = encode_csv_line(counts_of(3), None).split(b",", 1)[1]
     parser.feed(printed * 3, 1.0)
     parser.reset()
@@ -48,14 +48,14 @@ def test_lines_may_use_any_usual_separator_and_line_end(separator: bytes) -> Non
 @pytest.mark.parametrize(
     ("bad", "reason"),
     [
-        (line(2)[:300] + b"\n", "bad_framing"),
-        (line(2).replace(b",", b",,x", 1), "bad_framing"),
-        (b"1" + line(2)[:-1] + b"7,9\n", "bad_framing"),
+        (line(2)[:300] + b"\n", "damaged"),
+        (line(2).replace(b",", b",,x", 1), "damaged"),
+        (b"1" + line(2)[:-1] + b"7,9\n", "damaged"),
         (b"9" + line(2), "bad_time"),
-        (b"1," * 100_000 + b"1\n", "bad_framing"),
-        (line(2).split(b",", 1)[1], "bad_framing"),
-        (line(2)[:-1] + b"1,1\n", "bad_framing"),
-        (b"1," * 50 + b"1\n", "bad_framing"),
+        (b"1," * 100_000 + b"1\n", "damaged"),
+        (line(2).split(b",", 1)[1], "damaged"),
+        (line(2)[:-1] + b"1,1\n", "damaged"),
+        (b"1," * 50 + b"1\n", "damaged"),
     ],
 )
 def test_a_bad_line_is_refused_and_counted_by_name(bad: bytes, reason: str) -> None:
@@ -63,7 +63,7 @@ def test_a_bad_line_is_refused_and_counted_by_name(bad: bytes, reason: str) -> N
     frames = fed(parser, lines([0, 1]) + bad + line(3) + line(4), range(0, 3000, 70))
     assert_are(frames, [0, 1, 3, 4])
     assert getattr(parser.counts, reason) == parser.counts.bad == 1
-    dropped = len(bad) if reason == "bad_framing" else 0
+    dropped = len(bad) if reason == "damaged" else 0
     assert parser.counts.bytes_dropped == len(b"half a line\n") + dropped
 
 
@@ -87,7 +87,7 @@ def test_bytes_outside_frames_are_counted(words: bytes) -> None:
 
 
 def test_a_number_of_thousands_of_digits_is_clipped() -> None:
-    parser = parser_of(PadFormat(framing="text", rows=32, columns=32))
+    parser = FrameParser(PadFormat(framing="text", rows=32, columns=32))
     (frame,) = parser.feed(b"\n" + b"0," * 1023 + b"1" * 5000 + b"\n", 0.0)
     assert frame.pressure[-1, -1] == 64
     assert parser.counts.clipped == 1
@@ -135,7 +135,7 @@ NUMBERED = [f"{row},{','.join(map(str, cells))}" for row, cells in enumerate(ROW
 )
 def test_numbers_are_read_whatever_stands_around_them(printed: str, skip: int) -> None:
     described = PadFormat(framing="text", rows=5, columns=6, skip=skip)
-    parser = parser_of(described)
+    parser = FrameParser(described)
     frames = parser.feed(printed.encode() * 4, 0.0)
     # The first frame is dropped if it may be incomplete; a frame of several lines ends where the next begins.
     assert 2 <= len(frames) <= 4
@@ -143,7 +143,7 @@ def test_numbers_are_read_whatever_stands_around_them(printed: str, skip: int) -
     for frame in frames:
         np.testing.assert_array_equal(frame.pressure, expected)
     assert parser.counts.bad == 0
-    in_pieces = parser_of(described)
+    in_pieces = FrameParser(described)
     assert len(fed(in_pieces, printed.encode() * 4, range(0, 4 * len(printed), 7))) == len(frames)
     assert in_pieces.counts == parser.counts
 
@@ -151,7 +151,7 @@ def test_numbers_are_read_whatever_stands_around_them(printed: str, skip: int) -
 def test_numbers_before_and_after_a_rows_cells_are_skipped() -> None:
     described = PadFormat(framing="text", rows=5, columns=6, skip=1, tail=2)
     printed = "".join(f"{row}: 77, {str(cells)[1:-1]}, 99, 98\n" for row, cells in enumerate(ROWS)) + "\n"
-    parser = parser_of(described)
+    parser = FrameParser(described)
     damaged = printed[: printed.index("2:")] + printed[printed.index("3:") :]
     frames = parser.feed((printed * 2 + damaged + printed).encode(), 0.0)
     assert len(frames) == 2
@@ -185,7 +185,7 @@ def test_a_line_is_numbers_after_the_first_label(
 
 
 def test_half_a_frame_after_a_reconnect_is_not_damage() -> None:
-    parser = parser_of(PadFormat(framing="text", rows=5, columns=6))
+    parser = FrameParser(PadFormat(framing="text", rows=5, columns=6))
     frame = "".join(",".join(map(str, cells)) + "\n" for cells in ROWS) + "\n"
     assert len(parser.feed((frame * 3).encode(), 0.0)) == 2
     parser.reset()
@@ -196,10 +196,10 @@ def test_half_a_frame_after_a_reconnect_is_not_damage() -> None:
 def test_a_wide_line_with_words_is_read_and_an_endless_one_is_not() -> None:
     described = PadFormat(framing="text", rows=4, columns=4, tail=3)
     wide = ("words " * 42 + "".join(f"{number:>24}" for number in range(19))).encode() + b"\n"
-    parser = parser_of(described)
+    parser = FrameParser(described)
     assert len(parser.feed(b"\n" + wide * 2, 0.0)) == 2
     assert parser.feed(b" " * 100 + wide, 0.0) == []
-    assert parser.counts.bad_framing == 1
+    assert parser.counts.damaged == 1
 
 
 def test_a_damaged_line_loses_only_its_own_frame() -> None:
@@ -211,17 +211,17 @@ def test_a_damaged_line_loses_only_its_own_frame() -> None:
         frame[:40] + "\n",
         "x" + frame[20:],
     ):
-        parser = parser_of(described)
+        parser = FrameParser(described)
         assert len(parser.feed((frame * 2 + damaged + frame * 2).encode(), 0.0)) == 3, damaged
         assert parser.counts.bad >= 1
     # A loss across the boundary of two frames costs both; their halves do not form a frame.
-    parser = parser_of(described)
+    parser = FrameParser(described)
     assert len(parser.feed((frame * 2 + frame[:40] + frame[20:] + frame * 2).encode(), 0.0)) <= 3
 
 
 @pytest.mark.parametrize("place", range(5))
 def test_a_damaged_line_of_a_frame_with_an_end_loses_only_its_own(place: int) -> None:
-    parser = parser_of(PadFormat(framing="text", rows=5, columns=6, end="end"))
+    parser = FrameParser(PadFormat(framing="text", rows=5, columns=6, end="end"))
     printed = [",".join(map(str, cells)) + "\n" for cells in ROWS]
     damaged = [*printed[:place], "7,7\n", *printed[place + 1 :]]
     sent = [*printed, "end\n"] * 2 + [*damaged, "end\n"] + [*printed, "end\n"] * 2
@@ -229,7 +229,7 @@ def test_a_damaged_line_of_a_frame_with_an_end_loses_only_its_own(place: int) ->
 
 
 def test_a_frame_with_an_end_may_contain_blank_lines() -> None:
-    parser = parser_of(PadFormat(framing="text", rows=5, columns=6, end="]]"))
+    parser = FrameParser(PadFormat(framing="text", rows=5, columns=6, end="]]"))
     frame = str(np.array(ROWS)).replace("\n", "\n\n") + "\n"
     assert len(parser.feed(frame.encode() * 4, 0.0)) == 3
     assert parser.counts.bad == 0

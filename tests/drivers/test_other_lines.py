@@ -16,8 +16,8 @@ from rigs.sockets import free_port
 from touchd.drivers.fakes.encode import encode_frame, values_of
 from touchd.drivers.frame import Frame
 from touchd.drivers.pad.format import PadFormat, layout_of
+from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import SensorError, check_port, open_port, read_waiting
-from touchd.drivers.pad.protocol import parser_of
 
 STREAM = stream_of(400)
 PACKETS = list(map(encode_fabric_grid, STREAM.counts, STREAM.sensor_ms.tolist()))
@@ -168,7 +168,7 @@ def test_stray_datagrams_cost_a_udp_pad_no_frame(stray: bytes) -> None:
 @pytest.mark.parametrize("lines", [1, 8], ids=["a line", "a line a row"])
 def test_a_datagram_of_text_is_a_frame(line_end: str, lines: int) -> None:
     described = PadFormat(framing="text", rows=8, columns=8)
-    parser = parser_of(described)
+    parser = FrameParser(described)
     with udp_pad() as (address, give), open_port(address, 9600) as opened:
         frames = []
         for counts in STREAM.counts[:5]:
@@ -181,7 +181,7 @@ def test_a_datagram_of_text_is_a_frame(line_end: str, lines: int) -> None:
 
 def test_a_datagram_without_a_header_is_a_frame() -> None:
     described = PadFormat(cell="u8", rows=8, columns=8, full_scale=255)
-    parser = parser_of(described)
+    parser = FrameParser(described)
     with udp_pad() as (address, give), open_port(address, 9600) as opened:
         frames = []
         for counts in STREAM.counts[:5]:
@@ -193,7 +193,7 @@ def test_a_datagram_without_a_header_is_a_frame() -> None:
         layout.pressure(values_of(described, counts).ravel()).tolist() for counts in STREAM.counts[:5]
     ]
     assert [frame.pressure.tolist() for frame in frames] == expected
-    assert parser.counts.bad_framing == 5
+    assert parser.counts.damaged == 5
 
 
 def test_a_pad_may_have_an_ipv6_address() -> None:

@@ -16,9 +16,8 @@ from rigs.haart_folder import needs_third_study
 from rigs.pressing import chunks_of, pressed
 
 from touchd.drivers.fakes.encode import encode_values
-from touchd.drivers.pad.format import PRESETS, PadFormat, layout_of
-from touchd.drivers.pad.format_yaml import as_yaml
-from touchd.drivers.pad.protocol import parser_of
+from touchd.drivers.pad.format import PRESETS, PadFormat, as_yaml, layout_of
+from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.search.listen import Chunk, likelihood
 from touchd.drivers.search.search import Finding, search, survey
 
@@ -115,7 +114,7 @@ def check_found_or_refused(described: PadFormat, seed: int) -> None:
     values = described.full_scale - values if described.invert else values
     whole = values if described.cell == "f32" else np.floor(values)
     sent = np.array([layout_of(described).pressure(frame.ravel()) for frame in whole], float)
-    parser = parser_of(found)
+    parser = FrameParser(found)
     read = [frame.pressure for chunk in chunks_of(described, seed) for frame in parser.feed(*chunk)]
     share = np.corrcoef(np.array(read[-200:-1], float).ravel(), sent[-200:-1].ravel())[0, 1]
     late = np.corrcoef(np.array(read[-200:], float).ravel(), sent[-201:-1].ravel())[0, 1]
@@ -161,14 +160,36 @@ def test_a_presets_line_with_opposite_values_is_not_the_preset() -> None:
     assert (found.rows, found.columns, found.invert) == (10, 10, False)
 
 
-def test_a_clock_among_the_skipped_bytes_is_found() -> None:
-    described = PadFormat(header="ff55", clock=True, cell="u8", rows=6, columns=5, full_scale=255)
-    values = np.floor(pressed(6, 5, 255, np.random.default_rng(4)))
+IN_BYTES = PadFormat(header="ff55", clock="ms", cell="u8", rows=6, columns=5, full_scale=255)
+IN_TEXT = PadFormat(framing="text", rows=6, columns=5, skip=1, clock="ms", full_scale=1023)
+
+
+@pytest.mark.parametrize(
+    ("described", "step", "pace", "unit"),
+    [
+        (IN_BYTES, 20, 1.0, "ms"),
+        (IN_BYTES, 20_000, 1.0, "us"),
+        (IN_TEXT, 20, 1.0, "ms"),
+        (IN_TEXT, 20_000, 1.0, "us"),
+        (IN_TEXT, 20, 1.15, "ms"),
+        (IN_TEXT, 20, 1.3, "none"),
+        (IN_TEXT, 1, 1.0, "none"),
+        (IN_TEXT, 0, 1.0, "none"),
+        (IN_TEXT, 10, 1.0, "none"),
+    ],
+    ids=["bytes", "us in bytes", "text", "us", "fast", "too fast", "frame number", "stands still", "half"],
+)
+def test_a_clock_is_proven_by_the_frames_arrival(
+    described: PadFormat, step: int, pace: float, unit: str
+) -> None:
+    values = np.floor(pressed(6, 5, described.full_scale, np.random.default_rng(4)))
     chunks = [
-        Chunk(encode_values(described, frame, 70_000 + 20 * number), number / 50)
+        Chunk(encode_values(described, frame, 70_000 + step * number), number * pace / 50)
         for number, frame in enumerate(values)
     ]
-    assert search(chunks, (6, 5)).proposed == described
+    proposed = search(chunks, (6, 5)).proposed
+    assert proposed is not None
+    assert proposed.clock == unit
 
 
 @pytest.mark.parametrize("kind", ["values", "sum8", "xor8"])

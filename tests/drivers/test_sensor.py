@@ -18,7 +18,6 @@ from touchd.drivers.frame import Counts, Frame, SensorState
 from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import check_port
-from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.pad.sensor import FrameQueue, Sensor
 
 
@@ -87,8 +86,8 @@ def test_frames_after_a_stall_keep_their_true_arrival() -> None:
         (encode_fabric_grid, FabricGrid(), 4, 4),
         (encode_fabric_grid, FabricGrid(), 8, 8),
         (encode_fabric_grid, FabricGrid(), 1, 1),
-        (encode_csv_line, parser_of(PRESETS["csv"]), 4, 4),
-        (without_clock, parser_of(PadFormat(framing="text", rows=10, columns=10, crop=1)), 8, 1),
+        (encode_csv_line, FrameParser(PRESETS["csv"]), 4, 4),
+        (without_clock, FrameParser(PadFormat(framing="text", rows=10, columns=10, crop=1)), 8, 1),
     ],
     ids=["binary", "quiet", "needed", "text", "without a clock"],
 )

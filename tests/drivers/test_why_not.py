@@ -228,9 +228,9 @@ def test_no_module_is_imported_when_frames_stop() -> None:
     count = """
 import sys
 from touchd.drivers.pad.sensor import FrameQueue, Sensor
-from touchd.drivers.pad.protocol import parser_of
+from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.format import PRESETS
-sensor = Sensor("/dev/none", 9600, parser_of(PRESETS["csv"]), FrameQueue())
+sensor = Sensor("/dev/none", 9600, FrameParser(PRESETS["csv"]), FrameQueue())
 before = set(sys.modules)
 for recent in (b"", b"boot\\n" * 9, b"\\xff" * 400):
     sensor._report_no_frames(recent, is_silent=not recent)

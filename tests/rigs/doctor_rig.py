@@ -21,8 +21,8 @@ from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.frame import Counts
 from touchd.drivers.pad.format import PadFormat
+from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import open_port
-from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.recording import Stream, ideal_clock_ms
 
 SETTINGS = Settings()
@@ -77,7 +77,7 @@ def sample(
         FaultyPort(Stream(counts, clock_ms, ()), encode, speed=None, faults=faults) as port,
         open_port(port.path, 512_000) as opened,
     ):
-        return listen(opened, parser_of(SETTINGS.sensor.described), almost_all_s)
+        return listen(opened, FrameParser(SETTINGS.sensor.described), almost_all_s)
 
 
 def the(name: str, checks: Iterator[Check]) -> Check:

@@ -6,21 +6,20 @@ import msgspec
 
 from touchd.drivers.fakes.encode import encode_frame
 from touchd.drivers.frame import Counts
-from touchd.drivers.pad.binary import BinaryFrames
 from touchd.drivers.pad.format import PRESETS, PadFormat
-from touchd.drivers.pad.text import TextFrames
+from touchd.drivers.pad.parser import FrameParser
 
 
 def _fabric_grid(changes: dict[str, Any]) -> PadFormat:
     return msgspec.structs.replace(PRESETS["fabric-grid"], **changes)
 
 
-class FabricGrid(BinaryFrames):
+class FabricGrid(FrameParser):
     def __init__(self, **changes: Any) -> None:
         super().__init__(_fabric_grid(changes))
 
 
-class CsvLines(TextFrames):
+class CsvLines(FrameParser):
     def __init__(self) -> None:
         super().__init__(PRESETS["csv"])
 

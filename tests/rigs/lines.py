@@ -33,7 +33,7 @@ class Line(NamedTuple):
 
 
 LINES: dict[str, Callable[[], Line]] = {}
-SMALL = PadFormat(header="aa55", clock=True, cell="u8", rows=8, columns=8, full_scale=255, checksum="sum8")
+SMALL = PadFormat(header="aa55", clock="ms", cell="u8", rows=8, columns=8, full_scale=255, checksum="sum8")
 
 
 def line(made: Callable[[], Line]) -> Callable[[], Line]:
@@ -148,7 +148,7 @@ def line_of_rows_of_text() -> Line:
 @line
 def line_of_text_with_the_time_of_day() -> Line:
     """A pad prints a line a frame, led by the milliseconds since 1970, more than 32 bits; it is patted."""
-    described = PadFormat(framing="text", rows=6, columns=6, skip=1)
+    described = PadFormat(framing="text", rows=6, columns=6, skip=1, clock="ms")
     first_ms = 1_790_000_000_000
     pieces = [
         Piece(at_ms, b"%d,%s" % (first_ms + at_ms, data.partition(b",")[2]))
@@ -160,7 +160,7 @@ def line_of_text_with_the_time_of_day() -> Line:
 @line
 def line_of_text_with_seconds() -> Line:
     """A pad prints a line a frame, led by seconds with a fraction; lines end in CR alone; it is stroked."""
-    described = PadFormat(framing="text", rows=6, columns=6, skip=1)
+    described = PadFormat(framing="text", rows=6, columns=6, skip=1, clock="s")
     pieces = [
         Piece(at_ms, b"%.3f %s\r" % (at_ms / 1000, data.partition(b",")[2].strip().replace(b",", b" ")))
         for at_ms, data in packets(described, stroked(described))
@@ -209,7 +209,7 @@ def damage_lost_bytes() -> Line:
 @line
 def damage_reopened_port() -> Line:
     """The port goes in the middle of a frame in a rub, and is opened again in the middle of another."""
-    described = PadFormat(framing="text", rows=8, columns=8, skip=1)
+    described = PadFormat(framing="text", rows=8, columns=8, skip=1, clock="ms")
     values = touched(described, hand(33, ("rub", 4.5), lead_s=2.2, quiet_s=1.2))
     pieces = [Piece(*packet) for packet in packets(described, values)]
     place = frames_of(3.6)
@@ -248,17 +248,6 @@ def damage_clock_jumps() -> Line:
     pieces = [
         Piece(at_ms, encode_values(SMALL, frame.astype(np.int32), at_ms + (number % 10 == 4) * 0x0100_0000))
         for number, (at_ms, frame) in enumerate(zip(clock_of(len(values)), values, strict=True))
-    ]
-    return Line(SMALL, pieces)
-
-
-@line
-def damage_clock_stands_still() -> Line:
-    """The pad's clock stands still, so that frames are dated by their arrival; the log says so."""
-    values = patted(SMALL, lead_s=4.0)
-    pieces = [
-        Piece(at_ms, encode_values(SMALL, frame.astype(np.int32), 77))
-        for at_ms, frame in zip(clock_of(len(values)), values, strict=True)
     ]
     return Line(SMALL, pieces)
 

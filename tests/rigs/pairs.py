@@ -20,7 +20,6 @@ from touchd.daemon.path.monitor import PadMonitor
 from touchd.daemon.path.pipeline import Clock, Pipeline
 from touchd.drivers.frame import CLOCK_MODULUS, Counts, Frame, SensorState
 from touchd.drivers.pad.parser import FrameParser
-from touchd.drivers.pad.protocol import parser_of
 from touchd.drivers.recording import Recording, read_recordings, write_recordings
 from touchd.model.classifier import Classifier
 
@@ -44,7 +43,7 @@ def told_of(path: Path, classifier: Classifier) -> Told:
     if not path.name.endswith(LINE_SUFFIX):
         return Listener(classifier).hear_all(_arrivals(path))
     described, pieces = read_line(path)
-    parser = parser_of(described)
+    parser = FrameParser(described)
     listener = Listener(classifier, parser)
     for at_ms, data in pieces:
         if data is None:
@@ -57,7 +56,7 @@ def told_of(path: Path, classifier: Classifier) -> Told:
     refused = {
         name: count for name, count in asdict(parser.counts).items() if count and name != "restarted_at"
     }
-    return [*told, {"type": "line", **refused, "clock": parser.clock.note}]
+    return [*told, {"type": "line", **refused}]
 
 
 def _arrivals(path: Path) -> Iterator[tuple[float, Frame]]:

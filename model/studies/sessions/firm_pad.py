@@ -21,7 +21,7 @@ from touchd.daemon.app.config import SensorSettings, Settings
 from touchd.daemon.path.events import Event, epoch_s
 from touchd.daemon.path.pipeline import Clock, Pipeline
 from touchd.drivers.pad.format import PadFormat
-from touchd.drivers.pad.protocol import parser_of
+from touchd.drivers.pad.parser import FrameParser
 from touchd.model.classifier import Classifier
 from touchd.model.studies.sessions.score import detected_in
 from touchd.model.training.haart import find
@@ -116,12 +116,12 @@ def play(stream: FirmStream, model: Classifier, hz: float, rate_hz: float) -> li
     share = (at - low)[:, None, None]
     high = stream.frames[np.minimum(low + 1, len(stream.frames) - 1)]
     laid = np.rint(stream.frames[low] * (1 - share) + high * share).astype(int)
-    pad = PadFormat(framing="text", rows=ROWS, columns=COLUMNS, skip=1, full_scale=1023)
+    pad = PadFormat(framing="text", rows=ROWS, columns=COLUMNS, skip=1, clock="ms", full_scale=1023)
     events: list[Event] = []
     now_s = 0.0
     settings = Settings(sensor=SensorSettings(format=pad))
     pipeline = Pipeline(settings.pipeline, model, events.append, Clock(lambda: now_s, lambda: now_s))
-    parser = parser_of(pad)
+    parser = FrameParser(pad)
     for i, cells in enumerate(laid):
         now_s = i / rate_hz
         line = ",".join(map(str, [START_MS + round(1000 * now_s), *cells.ravel()]))

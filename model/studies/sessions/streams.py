@@ -22,14 +22,14 @@ from touchd.daemon.path.events import UNCERTAIN, Event, Prediction, TouchBegan, 
 from touchd.daemon.path.pipeline import Clock, Pipeline
 from touchd.drivers.frame import NO_TOUCH
 from touchd.drivers.pad.format import PadFormat
-from touchd.drivers.pad.protocol import parser_of
+from touchd.drivers.pad.parser import FrameParser
 from touchd.model.classifier import SHIPPED_MODEL, Classifier, load_own
 from touchd.model.studies.folders import study_parser
 from touchd.model.training.haart import find
 from touchd.model.training.weights import LEFT_OUT_FOLDER
 
 FILE = "streams.csv"
-PAD = PadFormat(framing="text", rows=6, columns=6, skip=1)
+PAD = PadFormat(framing="text", rows=6, columns=6, skip=1, clock="ms")
 NAMES = {name: name for name in ("constant", NO_TOUCH, "pat", "rub", "scratch")} | {
     "outward_caress": "stroke"
 }
@@ -104,7 +104,7 @@ def play(stream: Stream, model: Classifier) -> list[Event]:
     events: list[Event] = []
     now_s = 0.0
     pipeline = Pipeline(settings.pipeline, model, events.append, Clock(lambda: now_s, lambda: now_s))
-    parser = parser_of(PAD)
+    parser = FrameParser(PAD)
     for now_s, line in stream.lines:
         for frame in parser.feed(line, now_s):
             pipeline.on_frame(frame)
