@@ -56,7 +56,7 @@ def config_errors(prefix: str = "") -> Iterator[None]:
         raise ConfigError(f"{prefix}the configuration cannot be used: {error}; check its values") from error
 
 
-def _check_pads(ports: Mapping[str, str], *, needs_ascii: bool) -> None:
+def _check_pads(ports: Mapping[str, str], *, needs_ascii: bool, for_ros: bool) -> None:
     """Raise ValueError if pads cannot be told apart. ports: by name. needs_ascii: for other systems."""
     if len(ports) > MAX_PADS:
         raise ValueError(f"sensors: {len(ports)} pads, {MAX_PADS} at most; run another touchd")
@@ -65,6 +65,8 @@ def _check_pads(ports: Mapping[str, str], *, needs_ascii: bool) -> None:
             raise ValueError(f"sensors: invalid pad name {name!r}; use one word such as left_arm")
         if not name.isascii() and needs_ascii:
             raise ValueError(f"sensors: {name}: ROS and Home Assistant take only a to z, 0 to 9 and _")
+        if "__" in name and for_ros:
+            raise ValueError(f"sensors: {name}: ROS takes no __ in the name of a topic; use one _")
     named: dict[str, str] = {}
     for port in ports.values():
         # A port of UDP is one, at whichever of this computer's addresses.
@@ -157,7 +159,10 @@ class Words(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """All settings of `touchd run`. sensor: the only pad. sensors: instead of it, several by their names."""
+    """All settings of `touchd run`. sensor: the only pad. sensors: instead of it, several by their names.
+
+    name: tells this computer from others on its networks; by default its host name.
+    """
 
     sensor: SensorSettings = SensorSettings()
     sensors: dict[str, PadSettings] = {}
@@ -171,6 +176,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     lsl: LslSettings | None = None
     ros2: Ros2Settings | None = None
     rosbridge: RosbridgeSettings | None = None
+    name: Annotated[str, msgspec.Meta(pattern=r"^[^\s/+#]{1,64}$")] | None = None
     language: Language = "en"
     words: dict[str, Words] = {}
     log_level: Literal["debug", "info", "warning", "error"] = "info"
@@ -179,8 +185,10 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         if self.sensors and self.sensor != SensorSettings():
             raise ValueError("sensor and sensors are both set; keep one")
         if self.sensors:
-            needs_ascii = self.ros2 or self.rosbridge or (self.mqtt and self.mqtt.discovery)
-            _check_pads({name: pad.port for name, pad in self.sensors.items()}, needs_ascii=bool(needs_ascii))
+            for_ros = self.ros2 is not None or self.rosbridge is not None
+            needs_ascii = for_ros or (self.mqtt is not None and self.mqtt.discovery is not None)
+            ports = {name: pad.port for name, pad in self.sensors.items()}
+            _check_pads(ports, needs_ascii=needs_ascii, for_ros=for_ros)
 
     @property
     def pads(self) -> dict[str, "Settings"]:

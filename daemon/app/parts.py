@@ -5,14 +5,12 @@ from __future__ import annotations
 import typing
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-from touchd.daemon.app.config import ConfigError, JournalSettings, SceneSettings, Settings, config_errors
+from touchd.daemon.app.config import ConfigError, SceneSettings, Settings, config_errors
 from touchd.daemon.bridges.bridge import Bridge
 from touchd.daemon.bridges.bridges import make_bridges
-from touchd.daemon.bridges.settings import MEMORY_FILES
 from touchd.daemon.path.events import UNCERTAIN, Event
 from touchd.daemon.path.monitor import PadMonitor
 from touchd.daemon.path.pipeline import Pipeline, Viewers
@@ -21,7 +19,7 @@ from touchd.daemon.sinks.journal import open_journal
 from touchd.daemon.sinks.labels import Labeller, make_labeller
 from touchd.daemon.sinks.sink import Sink
 from touchd.daemon.sinks.touch_store import TouchSink, keep_touches
-from touchd.drivers.errors import PathError, written_out
+from touchd.drivers.errors import written_out
 from touchd.drivers.frame import COLUMNS, NO_TOUCH, OTHER, ROWS
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import SensorError, check_port
@@ -72,12 +70,10 @@ def make_parts(
     emit: Callable[[Event], None],
     viewers: Viewers,
     arrived: Signal,
-    config: Path | None = None,
 ) -> Parts:
     """Return the parts of a daemon; raises TouchdError when the settings cannot be used.
 
     emit: receives every event. viewers: see `Pipeline`. arrived: is set whenever a pad's queue has something.
-    config: the file of the settings, by which a bridge knows what an earlier version of it left on a broker.
     """
     check_pad(settings)
     models = load_models(settings)
@@ -106,15 +102,8 @@ def make_parts(
         live = open_live_page(settings, models, labeller)
         sinks.append(live)
     bridges: tuple[Bridge, ...] = ()
-    state = Path("/nonexistent")
-    try:
-        state = JournalSettings().file.parent
-    except PathError:
-        # A user without a home remembers nothing.
-        config = None
-    # A former configuration may have left something on a broker, which is cleared.
-    if any(settings.bridges.values()) or (config is not None and any(state.glob(MEMORY_FILES))):
-        bridges = make_bridges(settings, models, state, config)
+    if any(settings.bridges.values()):
+        bridges = make_bridges(settings, models)
         sinks += bridges
     if settings.robot is not None:
         sinks.append(link_to_robot(settings, emit))

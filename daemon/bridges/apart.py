@@ -21,7 +21,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from touchd.daemon.bridges.bridge import GOODBYE_S, POLL_S, Bridge, ConnectedBridge, bridge_class
+from touchd.daemon.bridges.bridge import GOODBYE_S, POLL_S, Bridge, ConnectedBridge, bridge_class, own_name
 from touchd.daemon.bridges.settings import LslSettings, Ros2Settings
 from touchd.daemon.path.events import Event, encode
 from touchd.drivers.frame import COLUMNS, ROWS, Frame
@@ -55,8 +55,10 @@ class FrameLine(msgspec.Struct, frozen=True, tag_field="type", tag="frame"):
 class ApartBridge(ConnectedBridge):
     """Sends the events and frames of all pads to a process, and restarts that process when it ends."""
 
-    def __init__(self, name: str, section: LslSettings | Ros2Settings, pads: Sequence[str]) -> None:
-        self._arguments = (name, msgspec.json.encode(section).decode(), *pads)
+    def __init__(
+        self, name: str, section: LslSettings | Ros2Settings, pads: Sequence[str], computer: str | None = None
+    ) -> None:
+        self._arguments = (name, msgspec.json.encode(section).decode(), computer or own_name(), *pads)
         self._process: subprocess.Popen[bytes] | None = None
         super().__init__(name, pads, math.inf, "its own process")
 
@@ -136,7 +138,7 @@ class ApartBridge(ConnectedBridge):
 
 def main(arguments: Sequence[str]) -> int:
     """Run the bridges of some pads, fed by lines on standard input."""
-    name, section, *pads = arguments
+    name, section, computer, *pads = arguments
     # Ignore signals to the process group: this process ends when the daemon closes its standard input.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
@@ -149,7 +151,7 @@ def main(arguments: Sequence[str]) -> int:
         sys.stderr.write(f"cannot be used on this machine ({' '.join(str(error).split())})\n")
         return 1
     bridges: dict[str, Bridge] = {
-        pad: make(msgspec.json.decode(section, type=SECTIONS[name]), pad) for pad in pads
+        pad: make(msgspec.json.decode(section, type=SECTIONS[name]), pad, name=computer) for pad in pads
     }
     for bridge in bridges.values():
         bridge.start()

@@ -2,11 +2,12 @@
 
 import importlib
 import logging
+import socket
 import threading
 import time
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 from touchd.daemon.path.events import Event
 from touchd.daemon.sinks.sink import QueuedSink
@@ -32,13 +33,21 @@ OUT_OF_REACH, AWAY = "out of reach", "away"
 BACKOFF_FIRST_S, BACKOFF_CAP_S = 0.1, 2.0
 # After a connection that lasted this long, the pauses between attempts begin again with the shortest.
 STEADY_S = 5.0
-# An event is dropped once this many connections have ended while it was being sent.
-TRIES = 3
+# An event that has waited longer is not sent: a receiver would take it for a new one. As for the robot.
+STALE_S = 2.0
 GOODBYE_S = 1.0
+# What a peer may send over a connection: at first, for each second, and for each item that it gets. touchd
+# subscribes to next to nothing, but libraries keep whatever comes.
+PEER_FIRST_BYTES, PEER_BYTES_PER_S, PEER_BYTES_PER_ITEM = 16 * 1024, 64.0, 1024
 
 
 class BridgeError(TouchdError):
     """A bridge cannot be used as configured; the message is one line that says what to do."""
+
+
+def own_name() -> str:
+    """Return the name of this computer, which tells its streams and connections from those of others."""
+    return socket.gethostname()
 
 
 def bridge_class(name: str) -> Any:
@@ -52,11 +61,18 @@ def kind_of(event: Event) -> str:
     return str(event.__struct_config__.tag)
 
 
-class Bridge(QueuedSink[Item]):
+class Queued(NamedTuple):
+    """An item in a bridge's queue, and when it was put there."""
+
+    item: Item
+    since_s: float
+
+
+class Bridge(QueuedSink[Any]):
     """Sends the events of one or several pads to another system, and their frames if configured.
 
-    `open`, `write` and `close` run in the sink's own thread. While the peer is away, events are queued and
-    frames are dropped; a full queue drops its oldest events. Other pads' events are ignored.
+    `open`, `pass_on` and `close` run in the sink's own thread. While the peer is away, events wait for
+    STALE_S and frames are dropped. Other pads' events are ignored.
     frames_hz: at most this many frames a second for each pad; math.inf: all frames; None: none.
     refused: number of messages that the peer refused. opened: set once `open` has returned.
     """
@@ -76,7 +92,7 @@ class Bridge(QueuedSink[Item]):
     def put(self, item: Item) -> None:
         """Queue an event of these pads or of the robot; never blocks."""
         if isinstance(item, tuple) or getattr(item, "pad", None) in {None, *self.pads}:
-            super().put(item)
+            super().put(Queued(item, time.monotonic()))
 
     def put_frame(self, frame: Frame, pad: str) -> None:
         """Queue a frame if one is due and the peer is connected; never blocks."""
@@ -92,6 +108,15 @@ class Bridge(QueuedSink[Item]):
             self.put((frame, pad))
         else:
             self._items.dropped += 1
+
+    def write(self, item: Queued) -> None:
+        """Pass one item on, or drop it if it is stale."""
+        if not self.pass_on(item.item, item.since_s + STALE_S):
+            self._items.dropped += 1
+
+    @abstractmethod
+    def pass_on(self, item: Item, until_s: float) -> bool:
+        """Send an item; return False if it was not sent before `until_s` (`time.monotonic()`)."""
 
     @abstractmethod
     def open(self) -> None:
@@ -142,15 +167,19 @@ class Bridge(QueuedSink[Item]):
 class ConnectedBridge(Bridge):
     """A bridge over a connection that its own thread keeps open.
 
-    where: the peer's address, for the log.
+    where: the peer's address, for the log. limit: of what the peer may send over the present connection.
     """
 
     def __init__(self, name: str, pads: Sequence[str], frames_hz: float | None, where: str) -> None:
         self._where = where
         self._connection_number = 0
+        self.limit = PeerLimit()
         self._ending = threading.Event()
         self._keeper = threading.Thread(target=self._keep_connected, name=f"touchd-{name}-link", daemon=True)
         super().__init__(name, pads, frames_hz)
+
+    def note(self, event: Event) -> None:
+        """Take what an event changes that has to be known even if it is not sent."""
 
     @abstractmethod
     def hold(self) -> str:
@@ -174,17 +203,18 @@ class ConnectedBridge(Bridge):
     def open(self) -> None:
         self._keeper.start()
 
-    def write(self, item: Item) -> None:
+    def pass_on(self, item: Item, until_s: float) -> bool:
         """Send one item. An event is sent again over the next connection if this one is lost."""
+        self.limit.sent()
         if isinstance(item, tuple):
             self.send_frame(*item)
-            return
+            return True
+        self.note(item)
         tried = 0
-        for _ in range(TRIES):
-            tried = self._await_connection(tried)
-            if not tried or self.send_event(item):
-                return
-        self._note_refused(f"{kind_of(item)}: {TRIES} connections ended while it was sent")
+        while tried := self._await_connection(tried, until_s):
+            if self.send_event(item):
+                return True
+        return False
 
     def close(self) -> None:
         self._ending.set()
@@ -196,9 +226,13 @@ class ConnectedBridge(Bridge):
         self._connection_number += 1
         self._note_there(self._where)
 
-    def _await_connection(self, after: int) -> int:
-        """Wait for a connection other than number `after`; return its number, 0 if the sink is stopping."""
-        while not self._abandoned.is_set():
+    def is_over(self, connection: int) -> bool:
+        """Whether this connection, by its number, has ended."""
+        return connection != self._connection_number or not self._peer_is_there.is_set()
+
+    def _await_connection(self, after: int, until_s: float) -> int:
+        """Wait for a connection other than number `after`; return its number, 0 if none came in time."""
+        while not self._abandoned.is_set() and time.monotonic() < until_s:
             if self._peer_is_there.wait(POLL_S) and self._connection_number != after:
                 return self._connection_number
             if self._peer_is_there.is_set():
@@ -207,45 +241,39 @@ class ConnectedBridge(Bridge):
 
     def _keep_connected(self) -> None:
         while not self._ending.is_set():
-            kind = AWAY
+            self.limit = PeerLimit()
             try:
-                reason = self.hold()
+                kind, reason = AWAY, self.hold()
             except OSError as error:
                 kind, reason = OUT_OF_REACH, f"cannot be reached: {error.strerror or error}"
             # A peer's bytes can make libraries raise undocumented errors.
             except Exception as error:
-                reason = f"{type(error).__name__}: {error}"
+                kind, reason = AWAY, f"{type(error).__name__}: {error}"
             if self._ending.is_set():
                 return
             self._note_away(self._where, reason, kind)
             self._ending.wait(self._backoff.pause_s())
 
 
-class Allowance:
-    """Limits a peer's bytes: `first` at once, `per_s` a second, and `for_each` for each message sent to it.
+class PeerLimit:
+    """Limits what a peer may send over one connection, before a library keeps or parses it."""
 
-    touchd subscribes to little or nothing, so a peer need not send much. Libraries keep or parse whatever it
-    sends, so its bytes are limited before a library sees them.
-    """
-
-    def __init__(self, first: int, for_each: int, per_s: float = 16.0) -> None:
-        self._left = float(first)
-        self._for_each = for_each
-        self._per_s = per_s
+    def __init__(self) -> None:
+        self.is_exceeded = False
+        self._left = float(PEER_FIRST_BYTES)
         self._counted_s = time.monotonic()
-        self.is_spent = False
 
-    def sent(self, echoed: int = 0) -> None:
-        """Note that a message was sent to the peer. echoed: bytes of it that the peer sends back."""
-        self._left += self._for_each + echoed
+    def sent(self) -> None:
+        """Note that the peer gets an item, which it may answer."""
+        self._left += PEER_BYTES_PER_ITEM
 
     def take(self, count: int) -> bool:
-        """Count received bytes; returns whether they were allowed."""
+        """Count received bytes; return whether they are within the limit."""
         now_s = time.monotonic()
-        self._left += self._per_s * (now_s - self._counted_s) - count
+        self._left += PEER_BYTES_PER_S * (now_s - self._counted_s) - count
         self._counted_s = now_s
-        self.is_spent |= self._left < 0
-        return not self.is_spent
+        self.is_exceeded |= self._left < 0
+        return not self.is_exceeded
 
 
 def arrival_s(frame: Frame) -> float:

@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 import pylsl
 from msgspec import UNSET
 
-from touchd.daemon.bridges.bridge import Bridge, Item, kind_of
+from touchd.daemon.bridges.bridge import Bridge, Item, kind_of, own_name
 from touchd.daemon.bridges.settings import LslSettings
 from touchd.daemon.path.events import Event, Prediction, epoch_s
-from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
+from touchd.drivers.frame import COLUMNS, ROWS
 
 LOOKS = 10
 
@@ -18,36 +18,42 @@ LOOKS = 10
 class LslBridge(Bridge):
     """Pushes markers and frames with their own timestamps; listeners may come and go."""
 
-    def __init__(self, settings: LslSettings, pad: str, labels: Sequence[str] = ()) -> None:
+    def __init__(
+        self, settings: LslSettings, pad: str, labels: Sequence[str] = (), name: str | None = None
+    ) -> None:
         self._stream = f"{settings.name}-{pad}"
+        self._computer = name or own_name()
         super().__init__("lsl", [pad], math.inf)
 
     def open(self) -> None:
         # Both clocks are monotonic, so a frame's stamp is exact however late it is sent.
         self._ahead_s = _ahead_of(time.monotonic)
-        self._markers = pylsl.StreamOutlet(
-            self._info("markers", "Markers", 1, pylsl.IRREGULAR_RATE, "string")
-        )
-        pressure = self._info("pressure", "Pressure", ROWS * COLUMNS, FRAME_RATE_HZ, "float32")
+        self._markers = pylsl.StreamOutlet(self._info("markers", "Markers", 1, "string"))
+        pressure = self._info("pressure", "Pressure", ROWS * COLUMNS, "float32")
         pressure.set_channel_labels([f"r{row}c{column}" for row in range(ROWS) for column in range(COLUMNS)])
         pressure.set_channel_units("counts")
         self._pressure = pylsl.StreamOutlet(pressure)
         self._peer_is_there.set()
 
-    def write(self, item: Item) -> None:
+    def pass_on(self, item: Item, until_s: float) -> bool:
+        if time.monotonic() > until_s:
+            return False
         if isinstance(item, tuple):
             frame, _ = item
             self._pressure.push_sample(frame.pressure.ravel().tolist(), frame.host_s + self._ahead_s)
         else:
             self._markers.push_sample([marker_of(item)], epoch_s(item.time) + _ahead_of(time.time))
+        return True
 
     def close(self) -> None:
         del self._markers, self._pressure
 
-    def _info(self, name: str, kind: str, channels: int, rate_hz: float, form: str) -> pylsl.StreamInfo:
-        # With the same source_id, an inlet finds the stream again after touchd was restarted.
+    def _info(self, name: str, kind: str, channels: int, form: str) -> pylsl.StreamInfo:
+        # Each sample has its time, and pads differ in rate. With the same source_id an inlet finds the stream
+        # again after touchd was restarted; another computer's stream must not have it.
         full = f"{self._stream}-{name}"
-        return pylsl.StreamInfo(full, kind, channels, rate_hz, form, source_id=full)
+        source = f"{self._computer}-{full}"
+        return pylsl.StreamInfo(full, kind, channels, pylsl.IRREGULAR_RATE, form, source_id=source)
 
 
 def marker_of(event: Event) -> str:

@@ -19,7 +19,7 @@ from cyclonedds.qos import Policy, Qos
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
-from touchd.daemon.bridges.bridge import Bridge, Item, arrival_s
+from touchd.daemon.bridges.bridge import Bridge, Item, arrival_s, own_name
 from touchd.daemon.bridges.settings import Ros2Settings
 from touchd.daemon.live.own_addresses import own_addresses
 from touchd.daemon.path.events import Prediction, encode
@@ -100,8 +100,11 @@ Message = TypeVar("Message", String, Image)
 class Ros2Bridge(Bridge):
     """Publishes gesture (a String, told ones only), event (JSON in a String) and pressure (an Image)."""
 
-    def __init__(self, settings: Ros2Settings, pad: str, labels: Sequence[str] = ()) -> None:
+    def __init__(
+        self, settings: Ros2Settings, pad: str, labels: Sequence[str] = (), name: str | None = None
+    ) -> None:
         self._settings = settings
+        self._computer = name or own_name()
         self._addresses: set[str] = set()
         self._looked_s = 0.0
         self._writers: dict[str, DataWriter[Any]] = {}
@@ -121,7 +124,9 @@ class Ros2Bridge(Bridge):
     def _join(self) -> None:
         """Join DDS over the current network; raises DDSException if there is none."""
         self._addresses, self._looked_s = set(own_addresses()), time.monotonic()
-        participant = DomainParticipant(self._settings.domain)
+        participant = DomainParticipant(
+            self._settings.domain, Qos(Policy.EntityName(f"touchd_{self._computer}"))
+        )
         publisher = Publisher(participant)
         # ROS 2 prefixes the names of its DDS topics with rt.
         prefix = f"rt{self._settings.namespace}/{self._pad}"
@@ -136,7 +141,7 @@ class Ros2Bridge(Bridge):
         }
         self._note_there("DDS")
 
-    def write(self, item: Item) -> None:
+    def pass_on(self, item: Item, until_s: float) -> bool:
         if time.monotonic() - self._looked_s > LOOK_S:
             self._looked_s = time.monotonic()
             if set(own_addresses()) != self._addresses:
@@ -145,18 +150,19 @@ class Ros2Bridge(Bridge):
                 self._writers.clear()
                 self._abandoned.wait(2 * LOOK_S)
                 self.open()
-        if not self._writers:
-            return
+        if not self._writers or time.monotonic() > until_s:
+            return False
         try:
             if isinstance(item, tuple):
                 self._writers["pressure"].write(image(*item))
-                return
+                return True
             if isinstance(item, Prediction) and item.told:
                 self._writers["gesture"].write(String(item.gesture))
             self._writers["event"].write(String(encode(item).decode()))
         # Raised, for example, when a reader accepts nothing.
         except DDSException as error:
             self._note_refused(str(error).splitlines()[0])
+        return True
 
     def close(self) -> None:
         self._writers.clear()

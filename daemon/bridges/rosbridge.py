@@ -12,23 +12,21 @@ from websockets.client import ClientProtocol
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
-from touchd.daemon.bridges.bridge import Allowance, ConnectedBridge
+from touchd.daemon.bridges.bridge import ConnectedBridge, PeerLimit, own_name
 from touchd.daemon.bridges.settings import RosbridgeSettings
 from touchd.daemon.path.events import Event, Prediction, encode
+from touchd.drivers import hosts
 from touchd.drivers.frame import COLUMNS, ROWS, Frame
 
+CONNECT_S = 3.0
 CONNECTION: Mapping[str, Any] = {
     "open_timeout": 1.0,
     "close_timeout": 0.2,
     "ping_interval": 5.0,
     "ping_timeout": 5.0,
-    # The server sends only refusals, which are short, because touchd subscribes to nothing.
-    "max_size": 16 * 1024,
     "compression": None,
     "proxy": None,
 }
-# A server may refuse each message in a few words.
-FIRST_BYTES, REFUSAL_BYTES = 16 * 1024, 1024
 # While a send blocks, websockets can neither ping nor notice a missing answer.
 UNTAKEN_MS = 10_000
 # Message types as both ROS 1 and ROS 2 servers accept them.
@@ -38,11 +36,13 @@ STRING, IMAGE = "std_msgs/String", "sensor_msgs/Image"
 class RosbridgeBridge(ConnectedBridge):
     """Publishes the topics of `Ros2Bridge`."""
 
-    def __init__(self, settings: RosbridgeSettings, pad: str, labels: Sequence[str] = ()) -> None:
+    def __init__(
+        self, settings: RosbridgeSettings, pad: str, labels: Sequence[str] = (), name: str | None = None
+    ) -> None:
         self._settings = settings
+        self._id = f"touchd_{name or own_name()}"
         self._prefix = f"{settings.namespace}/{pad}"
         self._connection: ClientConnection | None = None
-        self._allowance = Allowance(FIRST_BYTES, REFUSAL_BYTES)
         # With the topic, as each pad has a connection of its own.
         where = f"{settings.shown_url} ({self._prefix})"
         super().__init__("rosbridge", [pad], settings.pressure_hz, where)
@@ -53,14 +53,15 @@ class RosbridgeBridge(ConnectedBridge):
         super().open()
 
     def hold(self) -> str:
-        url, allowance = self._settings.url, Allowance(FIRST_BYTES, REFUSAL_BYTES)
-        self._allowance = allowance
+        url, limit = self._settings.url, self.limit
         try:
-            with connect(url, create_connection=_limited(allowance), **CONNECTION) as connection:
+            line = hosts.connect(*self._settings.address, CONNECT_S, self._ending)
+            with connect(url, sock=line, create_connection=_limited(limit), **CONNECTION) as connection:
                 connection.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, UNTAKEN_MS)
                 self._connection = connection
                 for name, kind in (("gesture", STRING), ("event", STRING), ("pressure", IMAGE)):
-                    advertised = {"op": "advertise", "topic": f"{self._prefix}/{name}", "type": kind}
+                    topic = f"{self._prefix}/{name}"
+                    advertised = {"op": "advertise", "id": self._id, "topic": topic, "type": kind}
                     connection.send(msgspec.json.encode(advertised).decode())
                 self.connected()
                 for message in connection:
@@ -68,7 +69,7 @@ class RosbridgeBridge(ConnectedBridge):
             reason = "the connection was closed"
         except WebSocketException as error:
             reason = str(error)
-        if allowance.is_spent:
+        if limit.is_exceeded:
             return "it sends more than answers, and touchd subscribes to nothing"
         return reason.replace(url, self._settings.shown_url)
 
@@ -99,7 +100,6 @@ class RosbridgeBridge(ConnectedBridge):
             return False
         try:
             for message in messages:
-                self._allowance.sent()
                 connection.send(message)
         except (OSError, WebSocketException):
             # The keeper's thread notices that, and connects again.
@@ -132,15 +132,15 @@ class _Status(msgspec.Struct, tag_field="op", tag="status"):
     msg: Any = ""
 
 
-def _limited(allowance: Allowance) -> type[ClientConnection]:
-    """Return a connection class that shuts its socket down once the server has spent its allowance."""
+def _limited(limit: PeerLimit) -> type[ClientConnection]:
+    """Return a connection class that shuts its socket down once the server has sent too much."""
 
     class Limited(ClientConnection):
         def __init__(self, line: socket.socket, protocol: ClientProtocol, **options: Any) -> None:
             receive = protocol.receive_data
 
             def limited(data: bytes | bytearray) -> None:
-                if allowance.take(len(data)):
+                if limit.take(len(data)):
                     receive(data)
                 else:
                     with suppress(OSError):

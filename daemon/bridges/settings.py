@@ -9,8 +9,6 @@ PressureHz = Annotated[float, msgspec.Meta(ge=0.001, le=500)]
 Port = Annotated[int, msgspec.Meta(ge=1, le=65535)]
 Topic = Annotated[str, msgspec.Meta(pattern=r"^[^/+#\s]+(/[^/+#\s]+)*$")]
 Namespace = Annotated[str, msgspec.Meta(pattern=r"^(/[A-Za-z_][A-Za-z0-9_]*)+$")]
-# Files of the state folder that remember what MQTT brokers retain.
-MEMORY_FILES = "mqtt-*.json"
 
 
 class MqttSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -64,6 +62,12 @@ class RosbridgeSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
             raise ValueError(
                 f"url: invalid address {self.shown_url} ({error}); write it like ws://robot:9090"
             ) from error
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Host and port."""
+        parts = urlsplit(self.url)
+        return parts.hostname or "", parts.port or (443 if parts.scheme == "wss" else 80)
 
     @property
     def shown_url(self) -> str:

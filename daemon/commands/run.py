@@ -122,7 +122,7 @@ def main(arguments: Sequence[str]) -> int:
     with ExitStack() as closing:
         signals.listen()
         closing.callback(signals.ignore)
-        service = Service(settings, found.file)
+        service = Service(settings)
         service.events.tags = tags
         ports = {name: pad.sensor.port for name, pad in settings.pads.items()}
         closing.enter_context(TagServer(service.events, found.file, ports))

@@ -7,7 +7,6 @@ import time
 import typing
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 from touchd.daemon.app.config import Settings
 from touchd.daemon.app.parts import PadChannel, make_parts
@@ -33,14 +32,14 @@ log = logging.getLogger(__name__)
 class Service:
     """The daemon's loop and its parts. Raises TouchdError when the settings cannot be used.
 
-    config: the file of the settings. events: where all of them pass through. watchers: get every frame.
+    events: where all of them pass through. watchers: get every frame.
     """
 
-    def __init__(self, settings: Settings, config: Path | None = None) -> None:
+    def __init__(self, settings: Settings) -> None:
         self._arrived = Signal()
         self._faults = FaultLog(log)
         self.events = EventFanout()
-        self.parts = make_parts(settings, self.events.emit, self._viewers, self._arrived, config)
+        self.parts = make_parts(settings, self.events.emit, self._viewers, self._arrived)
         self.pads = self.parts.pads
         self.watchers: list[LiveServer | View] = [self.parts.live] if self.parts.live else []
 

@@ -141,7 +141,7 @@ class Soak:
         robot_sink = RobotSink(self._link)
         self.broker = Broker(folder)
         mqtt = MqttSettings(host="127.0.0.1", port=self.broker.port, discovery=None)
-        self._bridges = make_bridges(Settings(mqtt=mqtt), {"pad": model}, folder, None)
+        self._bridges = make_bridges(Settings(mqtt=mqtt), {"pad": model})
         self._sinks = (
             self._journal_sink,
             robot_sink,

@@ -2,24 +2,28 @@
 
 import base64
 import logging
+import socket
 import threading
 import time
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from rigs.made_events import PREDICTION
+from rigs import attackers
+from rigs.made_events import PREDICTION, touch
 from rigs.peers import PAD, LslPeer, Ros2Peer, RosbridgePeer, frame, inlet_of, reader_of
 from rigs.scripted_model import Scripted
+from rigs.sockets import free_port
 from rigs.wait import WITHIN_S, wait_for
 
 from touchd.daemon.app.config import Settings
 from touchd.daemon.bridges.apart import ApartBridge
 from touchd.daemon.bridges.bridge import BridgeError
 from touchd.daemon.bridges.bridges import make_bridges
-from touchd.daemon.bridges.settings import LslSettings, Ros2Settings
+from touchd.daemon.bridges.settings import LslSettings, Ros2Settings, RosbridgeSettings
 from touchd.daemon.path.events import (
     Label,
     RobotAction,
@@ -65,7 +69,7 @@ def test_what_liblsl_says_as_it_starts_is_no_warning(
 def test_a_missing_extra_is_one_line_at_the_start(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda _: None)
     with pytest.raises(BridgeError, match=r"lsl: pylsl is not installed: .*pip install .*pylsl"):
-        make_bridges(Settings(lsl=LslSettings()), {PAD: Scripted()}, Path(), None)
+        make_bridges(Settings(lsl=LslSettings()), {PAD: Scripted()})
 
 
 def lsl_bridge(peer: LslPeer) -> Any:
@@ -96,10 +100,28 @@ def test_lsl_frames_carry_their_arrival_time_within_2_ms(tmp_path: Path) -> None
     pulled = [inlet.pull_sample(timeout=WITHIN_S) for _ in range(27)]
     info = inlet.info()
     bridge.stop(2.0)
-    assert (info.channel_count(), info.nominal_srate()) == (64, 54.0)
+    assert (info.channel_count(), info.nominal_srate()) == (64, pylsl.IRREGULAR_RATE)
     np.testing.assert_array_equal(pulled[5][0], frame(5).pressure.ravel())
     for (_, stamped_s), (first_s, last_s) in zip(pulled, arrived, strict=True):
         assert first_s - 0.002 < stamped_s < last_s + 0.002
+
+
+def test_streams_of_two_computers_can_be_told_apart(tmp_path: Path) -> None:
+    pylsl = pytest.importorskip("pylsl")
+    peer = LslPeer(tmp_path)
+    section = LslSettings(name=peer.name)
+    bridges = [ApartBridge("lsl", section, [PAD], computer) for computer in ("nao-a", "nao-b")]
+    for bridge in bridges:
+        bridge.start()
+
+    def sources() -> set[str]:
+        found = pylsl.resolve_byprop("name", f"{peer.name}-{PAD}-markers", minimum=2, timeout=1.0)
+        return {info.source_id() for info in found}
+
+    expected = {f"nao-{letter}-{peer.name}-{PAD}-markers" for letter in "ab"}
+    wait_for(lambda: sources() == expected)
+    for bridge in bridges:
+        bridge.stop(2.0)
 
 
 def test_lsl_markers_carry_the_events_time(tmp_path: Path) -> None:
@@ -137,7 +159,11 @@ def test_lsl_markers_carry_the_events_time(tmp_path: Path) -> None:
 
 def test_ros2_nodes_find_and_receive_the_topics(tmp_path: Path) -> None:
     pytest.importorskip("cyclonedds")
-    from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
+    from cyclonedds.builtin import (
+        BuiltinDataReader,
+        BuiltinTopicDcpsParticipant,
+        BuiltinTopicDcpsPublication,
+    )
     from cyclonedds.domain import DomainParticipant
 
     from touchd.daemon.bridges.ros2 import Image, String
@@ -147,6 +173,7 @@ def test_ros2_nodes_find_and_receive_the_topics(tmp_path: Path) -> None:
     topics = {"gesture": String, "event": String, "pressure": Image}
     readers = {name: reader_of(participant, f"rt/touchd/{PAD}/{name}", kind) for name, kind in topics.items()}
     offered = BuiltinDataReader(participant, BuiltinTopicDcpsPublication)
+    nodes = BuiltinDataReader(participant, BuiltinTopicDcpsParticipant)
     bridge = peer.bridge()
     found: set[tuple[str, str]] = set()
     received: dict[str, list[object]] = {name: [] for name in topics}
@@ -161,6 +188,7 @@ def test_ros2_nodes_find_and_receive_the_topics(tmp_path: Path) -> None:
         return all(received.values()) and len(found) == 3
 
     wait_for(all_received)
+    assert f"touchd_{socket.gethostname()}" in str([node.qos for node in nodes.take(20)])
     bridge.stop(2.0)
     assert found == {
         ("rt/touchd/pad/gesture", "std_msgs::msg::dds_::String_"),
@@ -269,3 +297,33 @@ def test_rosbridge_gets_the_topics_before_the_messages(tmp_path: Path) -> None:
     assert decode(peer.operations[4]["msg"]["data"]) == PREDICTION
     pixels = base64.b64decode(peer.operations[5]["msg"]["data"])
     np.testing.assert_array_equal(np.frombuffer(pixels, "<u2").reshape(8, 8), frame(2).pressure)
+
+
+def test_messages_that_a_rosbridge_refuses_are_counted_and_logged_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    pytest.importorskip("websockets")
+    port = free_port()
+    refusal = '{"op":"status","level":"error","msg":"publish: not allowed\\n\\u001b[31m","id":"x"}'
+
+    def refuse(client: Any, goes_on: Callable[[], bool]) -> None:
+        attackers.welcome(client)
+        while goes_on() and client.recv(65536):
+            client.sendall(attackers.text(refusal.encode()))
+            # A message that is not a status, and one that is not valid JSON.
+            client.sendall(attackers.text(b'{"op":"publish","msg":{}}') + attackers.text(b"[" * 8000))
+
+    from touchd.daemon.bridges.rosbridge import RosbridgeBridge
+
+    with attackers.server(port, refuse):
+        bridge = RosbridgeBridge(RosbridgeSettings(url=f"ws://127.0.0.1:{port}"), "pad")
+        bridge.start()
+        for number in range(20):
+            bridge.put(touch(number))
+            time.sleep(0.02)
+        wait_for(lambda: bridge.refused >= 5)
+        bridge.stop(2.0)
+    said = [line for line in caplog.messages if "refused" in line]
+    assert len(said) == 2
+    assert said[0].startswith("rosbridge: the peer refused something (publish: not allowed")
+    assert said[1].endswith("messages were refused in all")

@@ -3,6 +3,7 @@
 import itertools
 import json
 import os
+import re
 import select
 import socket
 import subprocess
@@ -15,35 +16,28 @@ from typing import Any
 
 import msgspec
 import pytest
-from rigs.made_events import PREDICTION, touch
+from rigs import attackers
+from rigs.made_events import PREDICTION, TIME, touch
 from rigs.peers import PAD, broker, frame, needs_mosquitto, subscribed
 from rigs.running_daemon import Daemon
 from rigs.scripted_model import Scripted
 from rigs.sockets import free_port
 from rigs.wait import WITHIN_S, wait_for
 
-from touchd.daemon.app.config import PadSettings, SceneSettings, Settings
-from touchd.daemon.app.parts import make_parts
+from touchd.daemon.app.config import Settings
 from touchd.daemon.bridges.bridge import Bridge, BridgeError
 from touchd.daemon.bridges.bridges import make_bridges
-from touchd.daemon.bridges.retained import OnBroker, Retained, file_for
 from touchd.daemon.bridges.settings import MqttSettings
-from touchd.daemon.path.events import SensorEvent, encode
+from touchd.daemon.path.events import SensorEvent, TouchEnded, encode
 from touchd.daemon.sinks.touches import decode
 from touchd.drivers.frame import NO_TOUCH
-from touchd.drivers.queue import Signal
 
 MQTTv311 = pytest.importorskip("paho.mqtt.client").MQTTv311
 pytestmark = needs_mosquitto
 
-MODELS = {"pad": Scripted()}
-UP = SensorEvent(state="up", time="2026-11-20T10:00:00.000Z")
-
-
-@pytest.fixture(autouse=True)
-def own_state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Remember retained topics in a folder of the test."""
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+UP = SensorEvent(state="up", time=TIME)
+DOWN = SensorEvent(state="down", time=TIME, reason="unplugged")
+ENDED = TouchEnded(touch=1, gesture="pat", frames=60, reason="released", time=TIME)
 
 
 @pytest.fixture
@@ -58,9 +52,9 @@ Open = Callable[..., Bridge]
 
 
 def made(port: int, **settings: Any) -> list[Bridge]:
-    scene = SceneSettings(gestures=settings.pop("gestures", None))
+    name = settings.pop("name", None)
     mqtt = MqttSettings(**({"host": "127.0.0.1", "port": port} | settings))
-    return list(make_bridges(Settings(mqtt=mqtt, scene=scene), MODELS, Path(), None))
+    return list(make_bridges(Settings(mqtt=mqtt, name=name), {"pad": Scripted()}))
 
 
 @pytest.fixture
@@ -107,7 +101,7 @@ def test_the_pads_own_events_come_with_qos_1(messages: list[Any], opened: Open) 
 def test_the_state_is_retained_and_follows_the_pad(port: int, opened: Open) -> None:
     bridge = opened()
     bridge.put(UP)
-    bridge.put(SensorEvent(state="down", time=UP.time, reason="unplugged"))
+    bridge.put(DOWN)
     bridge.put(UP)
     wait_for(lambda: retained(port) == "up")
     bridge.stop(WITHIN_S)
@@ -237,24 +231,62 @@ def test_a_password_file_that_is_a_pipe_does_not_block(port: int, tmp_path: Path
         made(port, user="robot", password_file=str(tmp_path / "password"))
 
 
-def test_home_assistant_gets_told_answers_as_events(port: int, opened: Open) -> None:
+def test_home_assistant_shows_gestures_and_whether_the_pad_is_touched(port: int, opened: Open) -> None:
     jinja2 = pytest.importorskip("jinja2")
-    with subscribed(port, "homeassistant/#") as messages:
-        opened(topic="lab/nao1", discovery="homeassistant")
-        wait_for(lambda: bool(messages))
-    (message,) = messages
-    assert message.topic == "homeassistant/event/lab_nao1_pad/config"
-    entity = json.loads(message.payload)
-    assert entity["state_topic"] == "lab/nao1/pad/event"
-    template = jinja2.Environment().from_string(entity["value_template"])
-    event = json.loads(template.render(value_json=json.loads(encode(PREDICTION))))
-    assert event["event_type"] in entity["event_types"]
-    assert NO_TOUCH not in entity["event_types"]
+    bridge = opened(topic="lab/nao1", discovery="homeassistant")
+    bridge.put(UP)
+    wait_for(lambda: all_retained(port).get("lab/nao1/pad/state") == "up")
+    told = all_retained(port)
+    gestures = json.loads(told["homeassistant/event/lab_nao1_pad/config"])
+    touched = json.loads(told["homeassistant/binary_sensor/lab_nao1_pad_touched/config"])
+    assert gestures["state_topic"] == "lab/nao1/pad/event"
+    assert gestures["device"] == touched["device"]
+
+    def rendered(template: str, **values: Any) -> str:
+        return str(jinja2.Environment().from_string(template).render(**values))
+
+    event = json.loads(rendered(gestures["value_template"], value_json=json.loads(encode(PREDICTION))))
+    assert event["event_type"] in gestures["event_types"]
+    assert NO_TOUCH not in gestures["event_types"]
     assert event == {"event_type": "stroke", "confidence": 0.81, "stage": "early", "touch": 7}
-    assert template.render(value_json=json.loads(encode(touch(1)))) == ""
-    available = jinja2.Environment().from_string(entity["availability_template"])
+    assert rendered(gestures["value_template"], value_json=json.loads(encode(touch(1)))) == ""
     states = ("up", "degraded", "down", "stopped", "lost")
-    assert [available.render(value=state) for state in states] == ["online"] * 2 + ["offline"] * 3
+    for entity in (gestures, touched):
+        available = [rendered(entity["availability_template"], value=state) for state in states]
+        assert available == ["online"] * 2 + ["offline"] * 3
+    for event, state in ((touch(1), "ON"), (ENDED, "OFF"), (touch(2), "ON"), (DOWN, "OFF")):
+        assert told[touched["state_topic"]] != state
+        bridge.put(event)
+        wait_for(lambda state=state: all_retained(port)[touched["state_topic"]] == state)
+        told = all_retained(port)
+
+
+def test_the_state_that_changed_while_the_broker_was_away_is_retained(
+    tmp_path: Path, opened: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The event itself is stale by then.
+    monkeypatch.setattr("touchd.daemon.bridges.bridge.STALE_S", 0.1)
+    port = free_port()
+    with broker(tmp_path, port):
+        bridge = opened(port)
+        bridge.put(UP)
+        wait_for(lambda: retained(port) == "up")
+    bridge.put(DOWN)
+    wait_for(lambda: bridge.dropped == 1)
+    with broker(tmp_path, port):
+        wait_for(lambda: retained(port) == "down")
+
+
+def test_two_computers_with_one_topic_do_not_end_each_others_connections(
+    tmp_path: Path, opened: Open, caplog: pytest.LogCaptureFixture
+) -> None:
+    port, log = free_port(), tmp_path / "log"
+    lines = f"allow_anonymous true\nlog_dest file {log}\nuser root\n"
+    with broker(tmp_path, port, lines), subscribed(port, "touchd/#") as messages:
+        for number, name in enumerate(("nao-a", "nao-b", "nao-b"), 1):
+            put(opened(port, name=name), number, messages)
+        connected = re.findall(r"as touchd_(nao-.)_touchd_pad_", log.read_text())
+    assert connected == ["nao-a", "nao-b", "nao-b"]
 
 
 def publish(port: int, topic: str, payload: str, retain: bool = True) -> None:
@@ -275,220 +307,6 @@ def all_retained(port: int) -> dict[str, str]:
 ANNOUNCED = "homeassistant/event/touchd_pad/config"
 
 
-Configured = Callable[..., tuple[Bridge, ...]]
-
-
-@pytest.fixture
-def configured(tmp_path: Path) -> Iterator[Configured]:
-    """Starts the bridges of a configuration file of this name, which is written if it is missing."""
-    started: list[Bridge] = []
-
-    def configure(name: str, mqtt: MqttSettings | None, **settings: Any) -> tuple[Bridge, ...]:
-        (tmp_path / name).touch()
-        parts = make_parts(
-            Settings(mqtt=mqtt, journal=None, **settings), print, tuple, Signal(), tmp_path / name
-        )
-        bridges = parts.bridges
-        started.extend(bridges)
-        for bridge in bridges:
-            bridge.start()
-        return bridges
-
-    yield configure
-    stop(*started)
-
-
-def stop(*bridges: Bridge) -> None:
-    for bridge in bridges:
-        bridge.stop(2.0)
-
-
-def announced(port: int, **settings: Any) -> MqttSettings:
-    return MqttSettings(**({"host": "127.0.0.1", "port": port, "discovery": "homeassistant"} | settings))
-
-
-OTHERS = "lab/other/pad/state"
-
-
-@pytest.mark.parametrize("change", ["pad", "topic", "discovery", "section"])
-def test_what_a_former_configuration_left_is_cleared(port: int, configured: Configured, change: str) -> None:
-    publish(port, OTHERS, "up")
-    before = configured("a.yaml", announced(port))
-    wait_for(lambda: all_retained(port).keys() == {"touchd/pad/state", ANNOUNCED, OTHERS})
-    stop(*before)
-    left: set[str] = set()
-    match change:
-        case "pad":
-            configured("a.yaml", announced(port), sensors={"arm": PadSettings(port="/dev/arm")})
-            left = {"touchd/arm/state", "homeassistant/event/touchd_arm/config"}
-        case "topic":
-            configured("a.yaml", announced(port, topic="lab/nao1"))
-            left = {"lab/nao1/pad/state", "homeassistant/event/lab_nao1_pad/config"}
-        case "discovery":
-            configured("a.yaml", announced(port, discovery=None))
-            left = {"touchd/pad/state"}
-        case _:
-            configured("a.yaml", None)
-    wait_for(lambda: all_retained(port).keys() == {*left, OTHERS})
-
-
-def test_what_a_moved_configuration_left_is_cleared(
-    port: int, configured: Configured, tmp_path: Path
-) -> None:
-    before = configured("a.yaml", announced(port))
-    wait_for(lambda: ANNOUNCED in all_retained(port))
-    stop(*before)
-    (tmp_path / "a.yaml").rename(tmp_path / "b.yaml")
-    configured("b.yaml", announced(port, topic="lab/nao1"))
-    moved = {"lab/nao1/pad/state", "homeassistant/event/lab_nao1_pad/config"}
-    wait_for(lambda: all_retained(port).keys() == moved)
-
-
-def test_what_a_moved_configuration_still_uses_stays(
-    port: int, configured: Configured, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    before = configured("a.yaml", announced(port))
-    wait_for(lambda: ANNOUNCED in all_retained(port))
-    stop(*before)
-    (tmp_path / "a.yaml").rename(tmp_path / "b.yaml")
-    with caplog.at_level("INFO"):
-        configured("b.yaml", announced(port, discovery=None))
-        wait_for(lambda: all_retained(port) == {"touchd/pad/state": "down"})
-    assert f"cleared {ANNOUNCED}" in caplog.text
-    assert "cleared touchd/pad/state" not in caplog.text
-
-
-def test_a_former_broker_is_cleared_once_it_is_there_and_forgotten(
-    port: int, configured: Configured, tmp_path: Path
-) -> None:
-    other = free_port()
-    lines = f"allow_anonymous true\npersistence true\npersistence_location {tmp_path}/\nuser root\n"
-    with broker(tmp_path, other, lines):
-        before = configured("a.yaml", announced(other))
-        wait_for(lambda: all_retained(other).keys() == {"touchd/pad/state", ANNOUNCED})
-        stop(*before)
-    stop(*configured("a.yaml", announced(port)))
-    _, clearing = configured("a.yaml", announced(port))
-    with broker(tmp_path, other, lines):
-        wait_for(lambda: all_retained(other) == {})
-        wait_for(lambda: len(configured("a.yaml", announced(port))) == 1)
-        stop(clearing)
-
-
-def test_an_address_without_a_broker_is_not_remembered(
-    port: int, configured: Configured, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    refusing = free_port()
-    with broker(tmp_path, refusing, "allow_anonymous true\nretain_available false\n"):
-        for wrong, why in ((free_port(), "Connection refused"), (refusing, "Retain not supported")):
-            before = configured("a.yaml", announced(wrong))
-            wait_for(lambda why=why: why in caplog.text)
-            stop(*before)
-    assert len(configured("a.yaml", announced(port))) == 1
-
-
-def test_a_former_topic_is_cleared_with_the_present_login(tmp_path: Path, configured: Configured) -> None:
-    port = free_port()
-    with broker(tmp_path, port):
-        before = configured("a.yaml", announced(port, topic="old", discovery=None))
-        wait_for(lambda: all_retained(port).keys() == {"old/pad/state"})
-        stop(*before)
-    password = tmp_path / "password"
-    password.write_text("s3cret")
-    with broker(tmp_path, port, only_robot(tmp_path)):
-        login = {"user": "robot", "password_file": str(password)}
-        _, clearing = configured("a.yaml", announced(port, topic="new", discovery=None, **login))
-        wait_for(clearing._peer_is_there.is_set)
-
-
-def test_the_late_last_will_of_a_former_configuration_is_cleared(port: int, configured: Configured) -> None:
-    before = configured("a.yaml", announced(port, topic="old", discovery=None))
-    wait_for(lambda: all_retained(port).keys() == {"old/pad/state"})
-    stop(*before)
-    configured("a.yaml", announced(port, topic="new", discovery=None))
-    wait_for(lambda: all_retained(port).keys() == {"new/pad/state"})
-    publish(port, "old/pad/state", "lost")
-    wait_for(lambda: all_retained(port).keys() == {"new/pad/state"})
-
-
-def test_another_configuration_of_this_computer_is_not_cleared(port: int, configured: Configured) -> None:
-    bridges: list[Bridge] = []
-    for topic in ("one", "two"):
-        bridges += configured(f"{topic}.yaml", announced(port, topic=topic, discovery=None))
-    for bridge in bridges:
-        bridge.put(UP)
-    wait_for(lambda: all_retained(port) == {"one/pad/state": "up", "two/pad/state": "up"})
-    stop(*bridges)
-    configured("two.yaml", None)
-    wait_for(lambda: all_retained(port) == {"one/pad/state": "stopped"})
-
-
-def test_a_former_password_file_that_is_gone_stops_nothing(
-    port: int, configured: Configured, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    (tmp_path / "password").write_text("guess")
-    before = configured("a.yaml", announced(port, user="robot", password_file=str(tmp_path / "password")))
-    wait_for(lambda: ANNOUNCED in all_retained(port))
-    stop(*before)
-    (tmp_path / "password").unlink()
-    assert configured("a.yaml", None) == ()
-    assert "touchd/pad/state" in caplog.text
-    assert "cannot be read" in caplog.text
-
-
-def test_a_damaged_memory_of_topics_does_not_matter(tmp_path: Path) -> None:
-    config = tmp_path / "a.yaml"
-    config.touch()
-    on_broker = OnBroker(MqttSettings(), ("b",))
-
-    def restarted(folder: Path, path: Path) -> tuple[OnBroker, ...]:
-        retained = Retained(folder, path, on_broker)
-        retained.reached()
-        return retained.former
-
-    for content in (b"", b"\0" * 100, b'{"a": 1}', b"[" * 100_000, b'{"config": "\\u0000"}'):
-        for file in (file_for(config, tmp_path), tmp_path / "mqtt-another.json"):
-            file.write_bytes(content)
-        assert restarted(tmp_path, config) == ()
-    assert Retained(tmp_path, config, None).former == (on_broker,)
-    for folder, path in ((Path("/proc/no"), config), (tmp_path, Path(os.fsdecode(b"/\xff.yaml")))):
-        assert restarted(folder, path) == ()
-
-
-@pytest.mark.parametrize("ending", ["stopped", "lost", ""])
-def test_the_living_daemons_state_stands(port: int, opened: Open, ending: str) -> None:
-    bridge = opened(discovery="homeassistant")
-    bridge.put(UP)
-    wait_for(lambda: all_retained(port).get("touchd/pad/state") == "up")
-    publish(port, "touchd/pad/state", ending)
-    wait_for(lambda: all_retained(port).get("touchd/pad/state") == "up")
-    publish(port, ANNOUNCED, "")
-    wait_for(lambda: ANNOUNCED in all_retained(port))
-
-
-def test_two_daemons_on_one_topic_are_noticed(
-    port: int, opened: Open, caplog: pytest.LogCaptureFixture
-) -> None:
-    opened().put(UP)
-    wait_for(lambda: all_retained(port) == {"touchd/pad/state": "up"})
-    other = opened()
-    other.put(UP)
-    # Each of them says it once.
-    wait_for(lambda: caplog.text.count("another touchd publishes to touchd/pad, too") == 2)
-    other.stop(2.0)
-    wait_for(lambda: all_retained(port) == {"touchd/pad/state": "up"})
-    assert caplog.text.count("another touchd") == 2
-
-
-def test_one_daemon_alone_is_not_two(port: int, opened: Open, caplog: pytest.LogCaptureFixture) -> None:
-    bridge = opened(discovery="homeassistant")
-    for number in range(1, 30):
-        bridge.put(SensorEvent(state="up" if number % 2 else "degraded", time=UP.time))
-    publish(port, "homeassistant/status", "online", retain=False)
-    wait_for(lambda: all_retained(port).get("touchd/pad/state") == "up" and not len(bridge._items))
-    assert "another touchd" not in caplog.text
-
-
 def test_home_assistants_start_is_answered(port: int, opened: Open) -> None:
     opened(discovery="homeassistant")
     wait_for(lambda: ANNOUNCED in all_retained(port))
@@ -499,76 +317,56 @@ def test_home_assistants_start_is_answered(port: int, opened: Open) -> None:
         wait_for(lambda: {message.topic for message in messages} >= {ANNOUNCED, "touchd/pad/state"})
 
 
-def test_state_and_announcement_come_again(port: int, opened: Open, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("touchd.daemon.bridges.mqtt.AGAIN_S", 0.5)
-    opened(discovery="homeassistant")
-    with subscribed(port, "#") as messages:
-        wait_for(lambda: len(payloads(messages, "touchd/pad/state")) >= 3)
-        assert len(payloads(messages, ANNOUNCED)) >= 2
-
-
-def test_what_the_broker_cannot_take_is_dropped_at_once(
+def test_what_a_broker_refuses_is_counted_and_named(
     tmp_path: Path, opened: Open, caplog: pytest.LogCaptureFixture
 ) -> None:
+    (tmp_path / "acl").write_text("topic read #\ntopic write touchd/pad/state\n")
     port = free_port()
-    lines = "allow_anonymous true\nmax_packet_size 250\n"
-    with broker(tmp_path, port, lines), subscribed(port, "touchd/pad/event") as messages:
-        bridge = opened(port, discovery="homeassistant")
-        for number in range(1, 21):
+    with broker(tmp_path, port, f"allow_anonymous true\nacl_file {tmp_path}/acl\nuser root\n"):
+        bridge = opened(port)
+        for number in range(20):
             bridge.put(touch(number))
-            bridge.put(PREDICTION)
-        wait_for(lambda: len(messages) == 20)
-        # The announcement, too.
-        assert bridge.refused == 21
-        assert bridge._connection_number == 1
-        # To the byte.
-        fits = 250 - len("touchd/pad/event") - 8
-        size = len(encode(SensorEvent(state="up", time=UP.time, reason="")))
-        for extra in (0, 1):
-            bridge.put(SensorEvent(state="up", time=UP.time, reason="x" * (fits - size + extra)))
-        wait_for(lambda: bridge.refused == 22)
-        wait_for(lambda: len(messages) == 21)
-        assert len(messages[-1].payload) == fits
+        wait_for(lambda: bridge.refused == 20)
         bridge.stop(2.0)
-    assert "the broker takes 250 at most" in caplog.text
-    assert "is away" not in caplog.text
+    said = [line for line in caplog.messages if "refused" in line]
+    assert said[0] == "mqtt: the peer refused something (touchd/pad/event: Not authorized)"
+    assert said[1:] == ["mqtt: 20 messages were refused in all"]
 
 
-def test_a_broker_that_cannot_say_its_limit_does_not_lose_the_small_events(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
+def test_a_broker_without_mqtt_5_gets_mqtt_3(opened: Open) -> None:
+    port = free_port()
+    with attackers.server(port, attackers.acknowledge) as connections:
+        bridge = opened(port)
+        bridge.put(touch(1))
+        wait_for(lambda: bridge._peer_is_there.is_set() and not len(bridge._items))
+        assert bridge.refused == 0
+    # The first connection was refused: it spoke MQTT 5.
+    assert connections == [2]
+
+
+@pytest.mark.parametrize(
+    ("greeting", "reason"),
+    [
+        (b"\x20\x03\x00\x00\x00", "(the connection was closed)"),
+        (b"", "(the connection was closed before a greeting: is it a broker, and does it want TLS?)"),
+        (b"\x20\x03\x00\x87\x00", "(Not authorized)"),
+        (b"\x20\x0b\x00\x97\x08\x1f\x00\x05a\n\x1b[m", "(Quota exceeded: a"),
+    ],
+)
+def test_a_lost_broker_is_reported_with_its_reason(
+    opened: Open, greeting: bytes, reason: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     port = free_port()
-    lines = "allow_anonymous true\nmax_packet_size 250\n"
-    with broker(tmp_path, port, lines), subscribed(port, "touchd/pad/event") as messages:
-        (bridge,) = made(port, discovery="homeassistant")
-        # As after a broker has refused MQTT 5.
-        vars(bridge)["_version"] = MQTTv311
-        bridge.start()
-        try:
-            for number in range(1, 21):
-                bridge.put(PREDICTION)
-                bridge.put(touch(number))
-            wait_for(lambda: len(messages) >= 2)
-            # Connections ended over the announcement and one more prediction, and none after that.
-            ended = bridge._connection_number
-            wait_for(lambda: len(messages) == 20)
-            assert bridge._connection_number == ended
-        finally:
-            bridge.stop(2.0)
-    assert "the broker takes" not in caplog.text
-    assert "perhaps takes" in caplog.text
 
+    def hang_up(client: Any, _goes_on: Callable[[], bool]) -> None:
+        client.recv(65536)
+        client.sendall(greeting)
 
-def test_an_announcement_over_an_ended_connection_does_not_end_the_bridge() -> None:
-    from touchd.daemon.bridges.mqtt import Client, MqttBridge
-
-    bridge, client = MqttBridge(announced(1), "pad"), Client("name", MQTTv311)
-    vars(bridge)["_version"] = MQTTv311
-    # It was never connected, so paho refuses the announcement.
-    bridge._publish_announcement(client)
-    for _ in range(3):
-        bridge._learn(client, 100, is_taken=False)
-    assert bridge._seems_longest == 75
+    with attackers.server(port, hang_up):
+        opened(port)
+        wait_for(lambda: "is away" in caplog.text)
+    assert reason in caplog.text
+    assert "Unspecified" not in caplog.text
 
 
 def test_a_return_of_the_broker_is_said_once(

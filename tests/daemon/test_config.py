@@ -65,7 +65,7 @@ def homeless(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("homeless")
 def test_without_a_home_the_daemon_runs_and_stores_nothing(tmp_path: Path) -> None:
     settings = find_settings(None).settings
-    assert make_parts(settings, print, tuple, Signal(), tmp_path / "touchd.yaml").sinks == ()
+    assert make_parts(settings, print, tuple, Signal()).sinks == ()
 
 
 @pytest.mark.usefixtures("homeless")

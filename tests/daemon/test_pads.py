@@ -202,6 +202,8 @@ def test_the_robot_gets_each_pads_events_under_its_name() -> None:
             "sensors: 17 pads, 16 at most; run another touchd",
         ),
         ("sensors: {'a b': {}}", "invalid pad name 'a b'"),
+        ("ros2: {}\nsensors: {a__b: {}}", "a__b: ROS takes no __"),
+        ("rosbridge: {}\nsensors: {a__b: {}}", "a__b: ROS takes no __"),
         ("sensors: {a: {}, b: {}}", "/dev/touchd-pad is the port of more than one pad"),
         (
             "sensors: {a: {port: 'udp://0.0.0.0:4000'}, b: {port: 'udp://127.0.0.1:4000'}}",

@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 
 from rigs.live_rig import HANDSHAKE
 from websockets.utils import accept_key
@@ -80,15 +80,10 @@ def send_on(client: socket.socket, goes_on: Callable[[], bool], pieces: Iterator
 # MQTT
 
 
-def publish(payload: int, number: int | None = None, claimed: int | None = None) -> bytes:
-    """Return a PUBLISH: QoS 2 if it has a number, else QoS 0. claimed: a false length."""
-    body = b"\x00\x01t" + (struct.pack("!H", number) if number is not None else b"") + bytes(payload)
-    length, sizes = len(body) if claimed is None else claimed, b""
-    while True:
-        length, low = divmod(length, 128)
-        sizes += bytes([low | (0x80 if length else 0)])
-        if not length:
-            return (b"\x34" if number is not None else b"\x30") + sizes + body
+def publish(payload: int, number: int) -> bytes:
+    """Return a PUBLISH of QoS 2."""
+    body = b"\x00\x01t" + struct.pack("!H", number) + bytes(payload)
+    return b"\x34" + bytes([len(body) % 128 | 0x80, len(body) // 128]) + body
 
 
 def unfinished_publishes(client: socket.socket, goes_on: Callable[[], bool]) -> None:
@@ -96,12 +91,6 @@ def unfinished_publishes(client: socket.socket, goes_on: Callable[[], bool]) -> 
     client.sendall(CONNACK)
     numbers = itertools.cycle(range(1, 65536))
     send_on(client, goes_on, (publish(10_000, number) for number in numbers))
-
-
-def huge_publish(client: socket.socket, goes_on: Callable[[], bool]) -> None:
-    client.recv(CHUNK)
-    client.sendall(CONNACK + publish(0, claimed=2**28 - 1))
-    send_on(client, goes_on, (bytes(CHUNK) for _ in itertools.count()))
 
 
 def takes_nothing(client: socket.socket, goes_on: Callable[[], bool]) -> None:
@@ -171,32 +160,11 @@ def empty_fragments(client: socket.socket, goes_on: Callable[[], bool]) -> None:
     send_on(client, goes_on, (b"\x00\x00" * 10_000 for _ in itertools.count()))
 
 
-def pings(client: socket.socket, goes_on: Callable[[], bool]) -> None:
-    welcome(client)
-    send_on(client, goes_on, ((b"\x89\x7d" + bytes(125)) * 100 for _ in itertools.count()))
-
-
 def statuses(client: socket.socket, goes_on: Callable[[], bool]) -> None:
     """Send far more refusals than messages come in, each with different words."""
     welcome(client)
     words = (f'{{"op":"status","level":"error","msg":"no {number}"}}' for number in itertools.count())
     send_on(client, goes_on, (text(word.encode()) for word in words))
-
-
-def endless_answer(client: socket.socket, goes_on: Callable[[], bool]) -> None:
-    client.recv(CHUNK)
-    send_on(
-        client,
-        goes_on,
-        itertools.chain([b"HTTP/1.1 200 OK\r\n\r\n"], (bytes(CHUNK) for _ in itertools.count())),
-    )
-
-
-def endless_header(client: socket.socket, goes_on: Callable[[], bool]) -> None:
-    client.recv(CHUNK)
-    send_on(
-        client, goes_on, itertools.chain([b"HTTP/1.1 101 X\r\nA:"], (b"x" * CHUNK for _ in itertools.count()))
-    )
 
 
 def zeros(client: socket.socket, goes_on: Callable[[], bool]) -> None:
@@ -239,19 +207,6 @@ def one_connection(port: Find, goes_on: Callable[[], bool], pieces: Iterator[byt
 
 def endless_lsl_request(find: Find, goes_on: Callable[[], bool]) -> None:
     one_connection(find, goes_on, (b"x" * CHUNK for _ in itertools.count()))
-
-
-def many_lsl_listeners(find: Find, goes_on: Callable[[], bool]) -> None:
-    """Open a few hundred subscriptions, and read nothing."""
-    request = b"LSL:streamfeed/110 \r\nMax-Buffer-Length: 100000\r\nProtocol-Version: 110\r\n\r\n"
-    with ExitStack() as closing:
-        for port in find() * 150:
-            with suppress(OSError):
-                listener = closing.enter_context(socket.create_connection(("127.0.0.1", port), 1.0))
-                listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
-                listener.sendall(request)
-        while goes_on():
-            time.sleep(0.1)
 
 
 def datagrams(find: Find, goes_on: Callable[[], bool]) -> None:
