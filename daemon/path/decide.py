@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
@@ -22,11 +22,9 @@ EARLIEST_FRAMES = 9
 CHANGED_LOG_ODDS = 6.5
 LEAST_PROBABILITY = 0.01
 
-Sure: TypeAlias = Literal["eager", "balanced"]
-
 # The confidence from which an answer is sure one second into a touch. An earlier answer needs more and a
 # later one less, because waiting helps less and less (docs/decision.md).
-SURE: dict[Sure, float] = {"eager": 0.5, "balanced": 0.7}
+SURE = 0.7
 SURE_FALLS = 0.2
 # An ended touch is told from this confidence on: nothing more comes that could make the answer surer. The
 # curve is in docs/decision.md.
@@ -57,7 +55,6 @@ class DecisionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     gestures: tuple[str, ...] = ()
     answer_at_frames: tuple[FrameCount, FrameCount, FrameCount] = (54, 81, 144)
     early: Literal["at_mark", "when_sure"] = "at_mark"
-    sure: Sure = "balanced"
     speak_above: Probability = 0.65
     final_above: Probability | None = None
     released_above: Probability | None = None
@@ -158,7 +155,7 @@ class Decision:
         """Whether to answer early now, `frames` into the touch; False for an answer that may not be told."""
         scene = self.weigh(probabilities)
         best = _likeliest(scene)
-        limit = max(sure_above(SURE[self._settings.sure], frames), self._settings.speak_above)
+        limit = max(sure_above(SURE, frames), self._settings.speak_above)
         return frames >= EARLIEST_FRAMES and best != NO_TOUCH and scene[best] >= limit
 
     def _limit(self, stage: Stage) -> float:

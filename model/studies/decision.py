@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
-from touchd.daemon.path.decide import EARLIEST_FRAMES, SURE, Decision, DecisionSettings, sure_above
+from touchd.daemon.path.decide import EARLIEST_FRAMES, Decision, DecisionSettings, sure_above
 from touchd.daemon.path.events import Stage
 from touchd.daemon.path.pipeline import STAGES, PipelineSettings
 from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT
@@ -128,10 +128,9 @@ class Point(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Choice(msgspec.Struct, frozen=True, kw_only=True):
-    """Cost of `scene.early` and `scene.sure`. first: of the first answer told; right: of the last."""
+    """Cost of `scene.early`. first: of the first answer told; right: of the last."""
 
     early: str
-    sure: str
     first_mean_s: float
     first_right: float
     right: float
@@ -213,7 +212,7 @@ def measure(studies: Mapping[str, Streams], windows: Streams) -> Measured:
 
 def figures_of(streams: Streams) -> StudyFigures:
     """Return one study's figures."""
-    settings = [DecisionSettings(), *(DecisionSettings(early="when_sure", sure=sure) for sure in SURE)]
+    settings = (DecisionSettings(), DecisionSettings(early="when_sure"))
     return StudyFigures(
         people=len(set(streams.participants)),
         touches=len(streams.truth),
@@ -249,12 +248,11 @@ def point(streams: Streams, speak_above: float, revise_margin: float) -> Point:
 
 
 def choice(streams: Streams, settings: DecisionSettings) -> Choice:
-    """Return what one choice of `scene.early` and `scene.sure` costs."""
+    """Return what one choice of `scene.early` costs."""
     told = tell(streams, settings)
     first_s = [t.answers[0][1] for t in told if t.answers]
     return Choice(
         early=settings.early,
-        sure=settings.sure if settings.early == "when_sure" else "",
         first_mean_s=float(np.mean(first_s)),
         first_right=float(np.mean([t.right[0] for t in told if t.answers])),
         right=float(np.mean([t.settled for t in told])),
@@ -298,21 +296,18 @@ def choose(curve: Sequence[Point]) -> Point:
 
 
 def best_choice(measured: Measured) -> str:
-    """Return the fastest `when_sure` that pays in every study, else `at_mark`.
+    """Return `when_sure` if it pays in every study, else `at_mark`.
 
     It pays if the first answer comes within EARLY_S on average and is right as often as at the marks, within
     AS_GOOD, and at most MOST_HARMED of the touches are harmed.
     """
-
-    def pays(place: int) -> bool:
-        return all(
-            study.choices[place].first_mean_s <= EARLY_S
-            and study.choices[place].first_right >= study.choices[0].first_right - AS_GOOD
-            and study.choices[place].harmed <= MOST_HARMED
-            for study in measured.studies.values()
-        )
-
-    return next((f"when_sure, {sure}" for place, sure in enumerate(SURE, 1) if pays(place)), "at_mark")
+    pays = all(
+        when_sure.first_mean_s <= EARLY_S
+        and when_sure.first_right >= at_mark.first_right - AS_GOOD
+        and when_sure.harmed <= MOST_HARMED
+        for at_mark, when_sure in (study.choices for study in measured.studies.values())
+    )
+    return "when_sure" if pays else "at_mark"
 
 
 def at_limit(windows: Streams, limit: float) -> AtLimit:
@@ -395,7 +390,7 @@ def tables(measured: Measured) -> dict[str, str]:
             [
                 (
                     title,
-                    f"`{each.early}`" + (f", `{each.sure}`" if each.sure else ""),
+                    f"`{each.early}`",
                     f"{each.first_mean_s:.2f}",
                     *map(_percent, (each.first_right, each.right, each.harmed)),
                 )

@@ -93,7 +93,7 @@ def test_the_example_shows_the_defaults(tmp_path: Path) -> None:
     assert shown.touch == default.touch
     assert shown.sensor.described == default.sensor.described
     assert (shown.sensor.port, shown.sensor.baud) == (default.sensor.port, default.sensor.baud)
-    for name in ("answer_at_frames", "early", "sure", "speak_above", "revise_margin", "stale_s", "ongoing"):
+    for name in ("answer_at_frames", "early", "speak_above", "revise_margin", "stale_s", "ongoing"):
         assert getattr(shown.scene, name) == getattr(default.scene, name)
 
 
@@ -194,7 +194,7 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
         ("sensor: [", "line 1, column 10: "),
         ("model: a: b", "line 1, column 9: a colon where none can stand"),
         ("sensor:\n  port /dev/x\n  baud: 9600", "line 3, column 7: a colon where none can stand"),
-        ("scene:\n  early: at_mark\n   sure: eager", "line 3, column 8: a colon where none can stand"),
+        ("scene:\n  early: at_mark\n   stale_s: 2", "line 3, column 8: a colon where none can stand"),
         ("sensor:\n  port: x\n baud: 9600", "line 3, column 2: indent this line as far as the other"),
         ("scene:\n  gestures:\n  - pat\n - rub", "line 4, column 2: indent this line as far as the other"),
         ("model: 'a\n", "line 2, column 1: a quote is opened above and not closed"),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from touchd.daemon.path.decide import ENDED_NOTOUCH, SURE, Decision, DecisionSettings, Sure, told_in
+from touchd.daemon.path.decide import ENDED_NOTOUCH, Decision, DecisionSettings, told_in
 from touchd.daemon.path.events import Stage
 
 LABELS = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
@@ -148,7 +148,7 @@ def test_an_answer_that_is_too_late_replaces_nothing(stage: Stage) -> None:
 @pytest.mark.parametrize("label", LABELS)
 def test_every_gesture_can_be_told_and_no_touch_cannot(label: str) -> None:
     said, is_touch = probabilities(**{label: 0.9}), label != "notouch"
-    eager = DecisionSettings(early="when_sure", sure="eager")
+    eager = DecisionSettings(early="when_sure")
     assert Decision(SETTINGS, LABELS).answer("early", said).told == is_touch
     assert Decision(eager, LABELS).is_sure(said, 54) == is_touch
     assert Decision(SETTINGS, LABELS).is_sure_of_released(said, is_over=False) == is_touch
@@ -237,9 +237,8 @@ def test_a_final_answer_below_final_above_ends_uncertain() -> None:
     assert Decision(DecisionSettings(final_above=0.5), LABELS).answer("final", probabilities(stroke=0.5)).told
 
 
-@pytest.mark.parametrize("sure", SURE)
-def test_less_confidence_is_required_later_in_a_touch(sure: Sure) -> None:
-    decision = Decision(DecisionSettings(early="when_sure", sure=sure, speak_above=0.0), LABELS)
+def test_less_confidence_is_required_later_in_a_touch() -> None:
+    decision = Decision(DecisionSettings(early="when_sure", speak_above=0.0), LABELS)
     first = {}
     for hundredth in (50, 60, 70, 80, 90, 99):
         said = probabilities(stroke=hundredth / 100)
@@ -250,12 +249,12 @@ def test_less_confidence_is_required_later_in_a_touch(sure: Sure) -> None:
 
 
 def test_no_answer_is_sure_before_a_sixth_of_a_second() -> None:
-    decision = Decision(DecisionSettings(early="when_sure", sure="eager"), LABELS)
+    decision = Decision(DecisionSettings(early="when_sure"), LABELS)
     assert [at for at in range(1, 12) if decision.is_sure(probabilities(stroke=0.99), at)] == [9, 10, 11]
 
 
 def test_an_early_answer_of_exactly_speak_above_is_sure() -> None:
-    decision = Decision(DecisionSettings(early="when_sure", sure="eager", speak_above=0.6), LABELS)
+    decision = Decision(DecisionSettings(early="when_sure", speak_above=0.6), LABELS)
     assert decision.is_sure(probabilities(stroke=0.6), 54)
     assert not decision.is_sure(probabilities(stroke=0.59), 54)
 

@@ -108,7 +108,7 @@ def test_early_answers_become_the_default_only_where_right_and_early() -> None:
     right = figures_of(streams_sure_from([10 + row % 5 for row in range(40)], 0.95))
     wrong = figures_of(other_gesture(streams_sure_from([9] * 8, 0.95), slice(50)))
     good = Measured(studies={HAART: right}, challenge=(), fixed={})
-    assert best_choice(good) == "when_sure, eager"
+    assert best_choice(good) == "when_sure"
     slow = figures_of(streams_sure_from([60] * 8, 0.95))
     assert best_choice(Measured(studies={HAART: right, "slow": slow}, challenge=(), fixed={})) == "at_mark"
     assert best_choice(Measured(studies={HAART: right, "other": wrong}, challenge=(), fixed={})) == "at_mark"
