@@ -16,6 +16,8 @@ from touchd.drivers.faults import FaultLog
 log = logging.getLogger(__name__)
 
 BYTES_PER_MB = 1_000_000
+# Older files that are kept.
+OLDER = 5
 MAX_LINE_BYTES = 64 * 1024
 # The beginning of every line.
 FIRST_BYTES = b'{"type":"'
@@ -92,12 +94,6 @@ class Journal:
                     os.replace(newer, older)
             if len(files) == 1:
                 self._path.unlink()
-            # Delete files beyond `keep`, which may have been larger before.
-            beyond = self._keep + 1
-            while (left := self._numbered(beyond)).exists():
-                if not left.is_dir():
-                    left.unlink()
-                beyond += 1
         self._begin_file()
 
     def _begin_file(self) -> None:
@@ -132,7 +128,7 @@ def open_journal(settings: JournalSettings) -> JournalSink:
     if settings.path is None:
         with os_errors_as(JournalError, f"journal {path}: cannot be written", "set journal: null"):
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-    return JournalSink(Journal(path, max_bytes=round(settings.max_mb * BYTES_PER_MB), keep=settings.keep))
+    return JournalSink(Journal(path, max_bytes=round(settings.max_mb * BYTES_PER_MB), keep=OLDER))
 
 
 def _open(path: Path) -> int:
