@@ -60,7 +60,6 @@ class DecisionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     released_above: Probability | None = None
     revise_margin: Probability = 0.1
     stale_s: Annotated[float, msgspec.Meta(ge=0.001, le=60)] = 2.0
-    ongoing: bool = True
 
     def __post_init__(self) -> None:
         early, revised, final = self.answer_at_frames

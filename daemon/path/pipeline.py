@@ -284,7 +284,7 @@ class Pipeline:
             touch.due = touch.due[len(overdue) :]
             due_length, stage = overdue[-1]
             self._answer_at(touch, stage, due_length, frame.host_s)
-        if length >= touch.next_ongoing and self._decision_settings.ongoing:
+        if length >= touch.next_ongoing:
             touch.next_ongoing = length + ASK_FRAMES
             self._answer_ongoing(touch, frame.host_s)
 

@@ -457,12 +457,6 @@ def test_a_gesture_in_one_window_alone_is_not_told() -> None:
     assert len(bench.model.asked) > 5
 
 
-def test_a_scene_can_switch_off_answers_after_the_final_one() -> None:
-    bench = Bench(decision=DecisionSettings(ongoing=False))
-    assert told(bench.feel(pat(8.0, counts=90.0))) == [("early", "stroke")]
-    assert bench.model.asked == []
-
-
 def test_a_noisy_pad_is_reported_once(caplog: pytest.LogCaptureFixture) -> None:
     bench = Bench()
     noise = np.random.default_rng(3).normal(0, 1.5, (540, 8, 8)).astype(np.float32)
