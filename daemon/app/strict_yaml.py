@@ -55,7 +55,6 @@ FORMS = {
 EXAMPLES = {
     "words": "words: {stroke: {name: caress, phrase: a caress}}",
     "journal": "journal: {path: events.jsonl}",
-    "leds": "leds: {color: green}",
     "live": "live: {port: 8054}",
     "lsl": "lsl: {name: touchd}",
     "mqtt": "mqtt: {host: broker.local}",

@@ -21,7 +21,7 @@ from touchd.daemon.live.address import EVERY_ADDRESS, listen, parse_address, qr_
 from touchd.daemon.path.events import UNCERTAIN, Event, Prediction, TouchEnded
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
 from touchd.daemon.playback.stream import DEMO_RECORDING
-from touchd.daemon.robot.actions import Action, ActionRule, Leds
+from touchd.daemon.robot.actions import Action, ActionRule
 from touchd.daemon.robot.words import name_of, words_of
 from touchd.daemon.view.describe import describe
 from touchd.daemon.view.view import View
@@ -47,7 +47,7 @@ KEPT = 1000
 
 # The robot says what it detects, and corrects itself.
 ACTIONS = (
-    ActionRule(do=(Action(leds=Leds(color="green")), Action(say="That feels like {phrase}."))),
+    ActionRule(do=(Action(leds="green"), Action(say="That feels like {phrase}."))),
     ActionRule(do=(Action(animated_say="Oh, it is {phrase}!"),), changed=True),
     ActionRule(do=(Action(say="What was that?"),), gestures=(OTHER, UNCERTAIN)),
 )

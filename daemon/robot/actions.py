@@ -30,34 +30,17 @@ Speech = Annotated[str, msgspec.Meta(min_length=1, max_length=500)]
 Seconds = Annotated[float, msgspec.Meta(ge=0, le=3600)]
 
 
-class Leds(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Fade a group of lights to a colour. color: a name of COLORS or "#rrggbb"."""
-
-    color: str
-    group: Name = "FaceLeds"
-    fade_s: Annotated[float, msgspec.Meta(ge=0, le=60)] = 0.3
-
-    def __post_init__(self) -> None:
-        if self.color not in COLORS and not re.fullmatch(r"#[0-9a-fA-F]{6}", self.color):
-            raise ValueError(f"color {self.color!r} is neither #rrggbb nor one of {', '.join(COLORS)}")
-
-    @property
-    def rgb(self) -> int:
-        """The colour as 0xRRGGBB, as ALLeds takes it."""
-        return COLORS[self.color] if self.color in COLORS else int(self.color[1:], 16)
-
-
 class Action(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """One thing the robot does: exactly one of these is set.
 
     say and animated_say may hold {gesture} (the model's label), {name} and {phrase} (see `config.Words`), and
-    {confidence} (whole percent).
+    {confidence} (whole percent). leds: a name of COLORS, or "#rrggbb".
     """
 
     say: Speech | None = None
     animated_say: Speech | None = None
     behavior: Name | None = None
-    leds: Leds | None = None
+    leds: str | None = None
 
     def __post_init__(self) -> None:
         kinds = self.__struct_fields__
@@ -66,9 +49,20 @@ class Action(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             raise ValueError(
                 f"an action is exactly one of {', '.join(kinds)}; here: {', '.join(given) or 'none'}"
             )
+        if (
+            self.leds is not None
+            and self.leds not in COLORS
+            and not re.fullmatch(r"#[0-9a-fA-F]{6}", self.leds)
+        ):
+            raise ValueError(f"leds {self.leds!r} is neither #rrggbb nor one of {', '.join(COLORS)}")
         for template in (self.say, self.animated_say):
             if template is not None:
                 _check_placeholders(template)
+
+
+def rgb_of(color: str) -> int:
+    """Return a colour as 0xRRGGBB, as ALLeds takes it."""
+    return COLORS[color] if color in COLORS else int(color[1:], 16)
 
 
 class ActionRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -18,7 +18,7 @@ from touchd.daemon.path.events import (
     RobotAction,
     timestamp,
 )
-from touchd.daemon.robot.actions import Action, ActionRule
+from touchd.daemon.robot.actions import Action, ActionRule, rgb_of
 from touchd.daemon.robot.words import Vocabulary, words_of
 from touchd.drivers.errors import one_line
 from touchd.drivers.frame import OTHER
@@ -26,6 +26,7 @@ from touchd.drivers.robot.acting import Act, animated_say, run_behavior, say, se
 
 # Touches that are remembered: more than can go on at once.
 MOST_TOUCHES = 64
+FACE, FADE_S = "FaceLeds", 0.3
 
 OnAct = Callable[[Prediction, ActionKind, str], None]
 
@@ -67,9 +68,8 @@ class Reactions:
             return animated_say(words, begins("animated_say", words))
         if action.behavior is not None:
             return run_behavior(action.behavior, begins("behavior", action.behavior))
-        leds = action.leds
-        assert leds is not None, "an action is exactly one of these"
-        return set_leds(leds.group, leds.rgb, leds.fade_s, begins("leds", leds.color))
+        assert action.leds is not None, "an action is exactly one of these"
+        return set_leds(FACE, rgb_of(action.leds), FADE_S, begins("leds", action.leds))
 
 
 def make_reactions(

@@ -12,7 +12,7 @@ from rigs.made_events import PREDICTION
 from touchd.daemon.app.config import Language, Words
 from touchd.daemon.path.feel import Feel
 from touchd.daemon.robot import actions
-from touchd.daemon.robot.actions import MEASURES, Action, ActionRule, Leds
+from touchd.daemon.robot.actions import MEASURES, Action, ActionRule
 from touchd.daemon.robot.reactions import MOST_TOUCHES, Choice, Reactions, spoken
 from touchd.daemon.robot.words import vocabulary
 from touchd.drivers.frame import DEFAULT_PAD
@@ -38,8 +38,7 @@ def test_the_rules_in_the_example_are_valid() -> None:
         r"^( *)#(?! )", r"\1", example[example.index("  #actions:") :].partition("\n\n")[0], flags=re.M
     )
     first, second, blow = msgspec.convert(yaml.safe_load(rules)["actions"], Rules)
-    assert first.do[0].leds is not None
-    assert first.do[0].leds.rgb == 0x00FF00
+    assert first.do[0].leds == "green"
     assert first.refractory_s == 5
     assert second.changed
     assert (blow.gestures, blow.above) == (("other",), {"peak": 300})
@@ -57,8 +56,8 @@ def test_the_rules_in_the_example_are_valid() -> None:
         ("[{do: [{say: '{gesture.__class__}'}]}]", "may hold {gesture}, {name}, {phrase} and {confidence}"),
         ("[{do: [{say: '{confidence:.3f}'}]}]", "may hold {gesture}, {name}, {phrase} and {confidence}"),
         ("[{do: [{say: 'a {'}]}]", "write {{ for a brace"),
-        ("[{do: [{leds: {color: pink}}]}]", "'pink' is neither #rrggbb nor one of white, red"),
-        ("[{do: [{leds: {color: '#00ff0080'}}]}]", "'#00ff0080' is neither #rrggbb nor"),
+        ("[{do: [{leds: pink}]}]", "'pink' is neither #rrggbb nor one of white, red"),
+        ("[{do: [{leds: '#00ff0080'}]}]", "'#00ff0080' is neither #rrggbb nor"),
         ("[{do: [{say: a}], stages: [middle]}]", "Invalid enum value 'middle'"),
         ("[{do: [{say: a}], refractory_s: -1}]", ">= 0"),
         ("[{do: [{say: a}], stages: [uncertain]}]", "never acts: uncertain is told at stage uncertain"),
@@ -190,7 +189,7 @@ def test_a_rule_rests_for_its_refractory_time() -> None:
 def test_every_kind_of_action_reaches_the_robot_in_order() -> None:
     rule = ActionRule(
         do=(
-            Action(leds=Leds(color="#ff8000", fade_s=0.5)),
+            Action(leds="#ff8000"),
             Action(animated_say="A {gesture}!"),
             Action(behavior="animations/Stand/Gestures/Hey_1"),
             Action(say="I am {confidence} percent sure"),
@@ -202,7 +201,7 @@ def test_every_kind_of_action_reaches_the_robot_in_order() -> None:
     reactions = Reactions(rules, {}, acts.extend, lambda _, kind, what: begun.append((kind, what)))
     reactions.on_answer(msgspec.structs.replace(PREDICTION, gesture="tickle", confidence=0.654))
     assert [(act.service, act.arguments) for act in acts] == [
-        ("ALLeds", ("FaceLeds", 0xFF8000, 0.5)),
+        ("ALLeds", ("FaceLeds", 0xFF8000, 0.3)),
         ("ALAnimatedSpeech", ("A tickle!",)),
         ("ALBehaviorManager", ("animations/Stand/Gestures/Hey_1",)),
         ("ALTextToSpeech", ("I am 65 percent sure",)),
