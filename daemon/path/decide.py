@@ -14,8 +14,6 @@ from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH, OTHER
 
 Probability = Annotated[float, msgspec.Meta(ge=0, le=1)]
 FrameCount = Annotated[int, msgspec.Meta(ge=1, le=432)]
-# Frames after which a touch may be answered early, about a sixth of a second.
-EARLIEST_FRAMES = 9
 
 # A gesture has changed when the log odds of another against the told one have risen by this, counting the
 # second number as the least probability. With 6, 2 % more changes are told, and 1 % more that are none.
@@ -155,7 +153,7 @@ class Decision:
         scene = self.weigh(probabilities)
         best = _likeliest(scene)
         limit = max(sure_above(SURE, frames), self._settings.speak_above)
-        return frames >= EARLIEST_FRAMES and best != NO_TOUCH and scene[best] >= limit
+        return best != NO_TOUCH and scene[best] >= limit
 
     def _limit(self, stage: Stage) -> float:
         """Return the confidence from which an answer is told at a stage."""

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
-from touchd.daemon.path.decide import EARLIEST_FRAMES, Decision, DecisionSettings, sure_above
+from touchd.daemon.path.decide import Decision, DecisionSettings, sure_above
 from touchd.daemon.path.events import Stage
 from touchd.daemon.path.pipeline import STAGES, PipelineSettings
 from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT
@@ -42,6 +42,8 @@ MARKS = DecisionSettings().answer_at_frames
 SPEAK_ABOVE = (0.4, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9)
 REVISE_MARGIN = (0.1, 0.2, 0.3, 0.4, 0.5)
 """A margin below a tenth would let noise revise an answer."""
+EARLIEST_FRAMES = 9
+"""The first frame at which the challenge's windows are answered, about a sixth of a second."""
 LIMITS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 """Confidences after 1 s at which an early answer counts as sure."""
 SHOWN = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9)

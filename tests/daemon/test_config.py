@@ -164,8 +164,7 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
         ("scene: {speak_above: 1.5}", "scene.speak_above: 1.5 must be at most 1"),
         (
             "scene: {actions: [{do: [{leds: purple}]}]}",
-            "scene.actions[0].do[0].leds: settings (name: value) or null expected, not text; as in leds: "
-            "{color: green}",
+            "scene.actions[0].do[0]: leds 'purple' is neither #rrggbb nor one of white, red",
         ),
         ("mqtt: broker.local", "not text; as in mqtt: {host: broker.local}"),
         ("scene: {gestures: [3]}", "scene.gestures[0]: text (in quotes) expected, not a whole number"),
@@ -194,7 +193,7 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
         ("sensor: [", "line 1, column 10: "),
         ("model: a: b", "line 1, column 9: a colon where none can stand"),
         ("sensor:\n  port /dev/x\n  baud: 9600", "line 3, column 7: a colon where none can stand"),
-        ("scene:\n  early: at_mark\n   stale_s: 2", "line 3, column 8: a colon where none can stand"),
+        ("scene:\n  early: at_mark\n   stale_s: 2", "line 3, column 11: a colon where none can stand"),
         ("sensor:\n  port: x\n baud: 9600", "line 3, column 2: indent this line as far as the other"),
         ("scene:\n  gestures:\n  - pat\n - rub", "line 4, column 2: indent this line as far as the other"),
         ("model: 'a\n", "line 2, column 1: a quote is opened above and not closed"),

@@ -248,15 +248,15 @@ def test_less_confidence_is_required_later_in_a_touch() -> None:
     assert not any(decision.is_sure(probabilities(notouch=1.0), at) for at in range(1, 433))
 
 
-def test_no_answer_is_sure_before_a_sixth_of_a_second() -> None:
+def test_no_answer_is_sure_before_a_quarter_of_a_second() -> None:
     decision = Decision(DecisionSettings(early="when_sure"), LABELS)
-    assert [at for at in range(1, 12) if decision.is_sure(probabilities(stroke=0.99), at)] == [9, 10, 11]
+    assert [at for at in range(1, 16) if decision.is_sure(probabilities(stroke=1.0), at)] == [13, 14, 15]
 
 
 def test_an_early_answer_of_exactly_speak_above_is_sure() -> None:
-    decision = Decision(DecisionSettings(early="when_sure", speak_above=0.6), LABELS)
-    assert decision.is_sure(probabilities(stroke=0.6), 54)
-    assert not decision.is_sure(probabilities(stroke=0.59), 54)
+    decision = Decision(DecisionSettings(early="when_sure", speak_above=0.8), LABELS)
+    assert decision.is_sure(probabilities(stroke=0.8), 54)
+    assert not decision.is_sure(probabilities(stroke=0.79), 54)
 
 
 @pytest.mark.parametrize(

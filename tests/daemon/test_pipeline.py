@@ -396,13 +396,13 @@ def when_sure(
 
 def test_a_sure_answer_comes_before_its_mark() -> None:
     answers = when_sure()
-    assert answered(answers) == [("early", 9), REVISED, FINAL]
+    assert answered(answers) == [("early", 17), REVISED, FINAL]
     assert [answer.told for answer in answers] == [True, False, False]
-    assert answers[0].elapsed_s == pytest.approx(9 / 54, abs=1e-3)
+    assert answers[0].elapsed_s == pytest.approx(17 / 54, abs=1e-3)
 
 
 def test_an_answer_may_become_sure_at_any_frame() -> None:
-    for at in (10, 23, 41, 53):
+    for at in (17, 23, 41, 53):
         answers = when_sure(lambda frames, at=at: "stroke" if frames >= at else "notouch")
         assert answered(answers)[0] == ("early", at)
 

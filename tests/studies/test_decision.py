@@ -73,7 +73,7 @@ def test_at_its_mark_a_sure_answer_is_told_once(late: Streams) -> None:
 
 
 def test_a_sure_answer_is_told_before_its_mark(late: Streams) -> None:
-    told = tell(late, DecisionSettings(early="when_sure", sure="balanced"))
+    told = tell(late, DecisionSettings(early="when_sure"))
     assert np.mean([t.answers[0][1] for t in told]) == pytest.approx(30 / 54)
     assert all(t.right == [True] for t in told)
 
