@@ -42,7 +42,7 @@ speech = session.service("ALTextToSpeech")
 
 
 def detail():
-    """Return the last message; None before the first. Its last number rises with every message."""
+    """Return the last message; None before the first. No two are the same, also after touchd's restart."""
     try:
         return memory.getData("TouchGesture/Detail")
     except RuntimeError:
@@ -54,7 +54,7 @@ try:
     print(f"{url}: waiting for touches", flush=True)
     while session.isConnected():
         new = detail()
-        if new is not None and (last is None or new[5] != last[5]):
+        if new is not None and new != last:
             gesture, confidence, _, stage, touch, _ = last = new
             print(f"touch {touch}: {gesture} ({confidence:.0%}, {stage})", flush=True)
             if gesture == "stroke":

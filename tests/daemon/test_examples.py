@@ -42,6 +42,22 @@ def test_the_python_example_does_not_answer_an_earlier_touch() -> None:
             example.kill()
 
 
+def test_the_python_example_hears_a_restarted_daemons_first_touch() -> None:
+    with Robot() as robot:
+        with linked(robot) as (link, states):
+            states.wait_for("up")
+            link.put(message("pat", touch=1))
+            wait_for(lambda: len(robot.calls.raised("TouchGesture/Detail")) == 1)
+        with Program(sys.executable, EXAMPLES / "react_to_touch.py", robot.url) as example:
+            example.stdout.readline()
+            with linked(robot) as (link, states):
+                states.wait_for("up")
+                # Its messages are counted from 1 again.
+                link.put(message("stroke", touch=1))
+                assert example.stdout.readline() == "touch 1: stroke (81%, early)\n"
+            example.kill()
+
+
 def test_the_python_example_without_a_robot_shows_its_usage() -> None:
     done = ran([sys.executable, EXAMPLES / "react_to_touch.py"])
     assert done.returncode == 1
