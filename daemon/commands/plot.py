@@ -1,6 +1,7 @@
 """`touchd plot`: recordings, or a journal of events, as a picture; needs matplotlib, of the extra `plot`."""
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -38,6 +39,8 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str]) -> int:
     """Draw the files and print the picture's name; returns 0."""
     options = parser().parse_args(arguments)
+    # A notebook sets one that is not installed here.
+    os.environ["MPLBACKEND"] = "agg"
     # Imported here because they need matplotlib.
     from touchd.daemon.plot import journal, recording
     from touchd.daemon.plot.plot import PlotError, check_format, save

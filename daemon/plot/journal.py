@@ -7,7 +7,6 @@ from matplotlib.figure import Figure
 
 from touchd.daemon.plot.plot import (
     INK,
-    LANES,
     PALE,
     QUIET_INK,
     PlotError,
@@ -15,13 +14,14 @@ from touchd.daemon.plot.plot import (
     colour_of,
     draw_answer,
     draw_lanes,
-    lane_of,
     new_figure,
 )
 from touchd.daemon.sinks.touches import ReportedTouch
 from touchd.drivers.frame import FRAME_RATE_HZ
 
 TOUCH_INCHES, TITLE_INCHES = 0.3, 1.3
+# A touch's answers in the order in which they came; those between the third and the last are not shown.
+COLUMNS = ("first", "second", "third", "last")
 
 
 def draw(touches: Sequence[ReportedTouch], title: str) -> Figure:
@@ -41,12 +41,12 @@ def draw(touches: Sequence[ReportedTouch], title: str) -> Figure:
 
 def _draw_answers(axes: Axes, touches: Sequence[ReportedTouch], gestures: Sequence[str]) -> None:
     for row, touch in enumerate(touches):
-        # Answers after the final one share a column, which shows the last.
-        last = {lane_of(answer): answer for answer in touch.predictions}
-        for column, answer in last.items():
-            draw_answer(axes, column, row, answer, gestures)
-    axes.set_xlim(-0.15, len(LANES) - 0.2)
-    axes.set_xticks(range(len(LANES)), (*LANES[:-1], f"{LANES[-1]}, the last"), ha="left")
+        shown = touch.predictions[: len(COLUMNS) - 1] + touch.predictions[len(COLUMNS) - 1 :][-1:]
+        for column, answer in enumerate(shown):
+            when = f", {answer.elapsed_s:.3g} s"
+            draw_answer(axes, column, row, answer, gestures, when=when)
+    axes.set_xlim(-0.15, len(COLUMNS) - 0.2)
+    axes.set_xticks(range(len(COLUMNS)), COLUMNS, ha="left")
     all_began = [touch.began for touch in touches]
     several = len({began.pad for began in all_began}) > 1
     names = [

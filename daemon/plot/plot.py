@@ -14,8 +14,8 @@ from touchd.drivers.frame import NO_TOUCH, OTHER
 WIDTH_INCHES = 12.0
 DOTS_PER_INCH = 130
 FORMATS = (".png", ".svg", ".pdf")
-# One for each stage, and one for all later answers.
-LANES = ("early", "revised", "final", "later")
+# One for each stage at a mark, and one for those about touches that are over or go on.
+LANES = ("early", "revised", "final", "released, later")
 # Names may contain what matplotlib parses as a formula.
 NO_FORMULA: Mapping[str, Any] = {"parse_math": False}
 INK, QUIET_INK, PALE = "#222222", "#777777", "#e4e4e4"
@@ -67,15 +67,25 @@ def save(figure: Figure, path: Path) -> None:
 
 
 def draw_answer(
-    axes: Axes, x: float, y: float, answer: Prediction, gestures: Iterable[str], *, wrong: bool = False
+    axes: Axes,
+    x: float,
+    y: float,
+    answer: Prediction,
+    gestures: Iterable[str],
+    *,
+    wrong: bool = False,
+    when: str = "",
 ) -> None:
-    """Draw an answer, filled if it was sent to the robot. gestures: all those in the picture."""
+    """Draw an answer, filled if it was sent to the robot, and `when` it came.
+
+    gestures: all those in the picture.
+    """
     colour = colour_of(answer.gesture, gestures)
     inside = colour if answer.told else "white"
     axes.plot([x], [y], markeredgecolor=colour, markerfacecolor=inside, clip_on=False, **MARK)
     words = f"{answer.gesture} {answer.confidence:.0%}" if answer.gesture != UNCERTAIN else UNCERTAIN
     ink, slant = ("#c00000", "italic") if wrong else (INK, "normal")
-    axes.annotate(words, (x, y), color=ink, fontstyle=slant, annotation_clip=False, **BESIDE)
+    axes.annotate(f"{words}{when}", (x, y), color=ink, fontstyle=slant, annotation_clip=False, **BESIDE)
 
 
 def bare(axes: Axes, *keep: str) -> None:

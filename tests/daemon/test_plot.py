@@ -1,6 +1,7 @@
 """`touchd plot`: pictures of touches, answers and pressure over time."""
 
 import os
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,8 +12,9 @@ import pytest
 pytest.importorskip("matplotlib", reason="matplotlib is not installed")
 
 from matplotlib.figure import Figure
-from matplotlib.text import Text
+from matplotlib.text import Annotation, Text
 from rigs.made_events import PREDICTION, TIME
+from rigs.programs import ran
 
 from touchd.daemon.app import cli
 from touchd.daemon.app.config import Settings
@@ -204,10 +206,35 @@ def test_a_journal_becomes_a_picture_with_each_touch_and_answer(
 ) -> None:
     path = journal(tmp_path / "events.jsonl")
     written = words(plot_journal.draw(read_journal(path), "events"))
-    assert {"pat 81%", "stroke 81%", "stroke", "not over"} <= set(written)
+    assert {"pat 81%, 1 s", "stroke 81%, 1 s", "stroke", "not over"} <= set(written)
     assert "2026-11-20 10:00:01   touch 1" in written
     assert cli.main(["plot", str(path), "-o", str(tmp_path / "a.svg")]) == 0
     assert b"<svg" in (tmp_path / "a.svg").read_bytes()
+
+
+def test_a_touchs_answers_stand_in_the_order_of_time() -> None:
+    """One that is over after 0.35 s has an answer before the first mark."""
+    stages: list[tuple[Stage, float]] = [
+        ("released", 0.35),
+        ("early", 1.0),
+        ("revised", 1.5),
+        ("final", 2.67),
+        ("ongoing", 4.0),
+    ]
+    answers = [msgspec.structs.replace(prediction(1, stage, "pat"), elapsed_s=at) for stage, at in stages]
+    began = TouchBegan(touch=1, time=TIME, sensor_ms=1)
+    (axes, _) = plot_journal.draw(gather([began, *answers]), "events").axes
+    drawn = [(text.xy[0], text.get_text()) for text in axes.texts if isinstance(text, Annotation)]
+    assert drawn == [(column, f"pat 81%, {at:g} s") for column, at in enumerate((0.35, 1.0, 1.5, 4.0))]
+    assert [tick.get_text() for tick in axes.get_xticklabels()] == ["first", "second", "third", "last"]
+
+
+@pytest.mark.parametrize("backend", ["module://matplotlib_inline.backend_inline", "nonsense"])
+def test_a_notebooks_backend_does_not_matter(tmp_path: Path, backend: str) -> None:
+    path = journal(tmp_path / "events.jsonl")
+    command = [sys.executable, "-m", "touchd.daemon", "plot", str(path), "-o", str(tmp_path / "a.png")]
+    done = ran(command, env={**os.environ, "MPLBACKEND": backend})
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_touches_of_several_pads_are_named_by_pad() -> None:
