@@ -1,4 +1,4 @@
-"""`touchd teach`: adapts the model to a person in three minutes at the pad; needs the extra `train`."""
+"""`touchd teach`: adapts the model to a person in five minutes; needs the extra `train`."""
 
 import argparse
 import json
@@ -66,12 +66,12 @@ def main(arguments: Sequence[str]) -> int:
     """Record, adapt, report, and set the model; returns 0, 1 when stopped before."""
     options = parser().parse_args(arguments)
     found = settings_of(options)
-    # If torch is missing, fail before three minutes of recording, not after.
+    # If torch is missing, fail before recording, not after.
     with Console(stderr=True).status("loading torch"):
         from touchd.model.adapt.folder import files_of, read_file
         from touchd.model.adapt.head import AdaptSettings
         from touchd.model.adapt.output import check_output
-        from touchd.model.adapt.report import report_lines
+        from touchd.model.adapt.report import report_lines, verdict
         from touchd.model.adapt.ship import adapt_folder
 
     console = Console(width=text_width(), highlight=False, markup=False)
@@ -88,9 +88,8 @@ def main(arguments: Sequence[str]) -> int:
         for line in report_lines(adapted, {label: name_of(words, label) for label in adapted.labels}):
             console.print(line)
         console.print(f"\nThe new model is {output}")
-        lengths = adapted.comparison.lengths
-        is_worse = bool(lengths) and (lengths[-1].difference or 0.0) < 0.0
-        put_into_use(console, found.file, output, options.pad, is_worse=is_worse)
+        is_better = verdict(adapted.comparison) == "better"
+        put_into_use(console, found.file, output, options.pad, is_better=is_better)
     except (Stopped, KeyboardInterrupt):
         console.print("\nStopped. What was kept is safe; the same command continues from here.")
         return INCOMPLETE
@@ -153,7 +152,7 @@ def _free_name(folder: Path, name: str) -> Path:
 
 
 def put_into_use(
-    console: Console, config: Path | None, model: Path, pad: str | None = None, *, is_worse: bool
+    console: Console, config: Path | None, model: Path, pad: str | None = None, *, is_better: bool
 ) -> None:
     """Ask, then set the model in the configuration, for one pad if `pad` names it.
 
@@ -164,7 +163,7 @@ def put_into_use(
         console.print(f"To use it, set `model: {model}` in touchd.yaml.")
         return
     pad = pad or next(iter(load(config).sensors), None)
-    if not _is_wanted(console, config, is_worse=is_worse):
+    if not _is_wanted(console, config, is_better=is_better):
         return
     is_service = config.resolve().parent == SERVICE_FOLDER
     again = "run the same command with sudo; it does not record again"
@@ -180,13 +179,13 @@ def put_into_use(
     console.print(f"Set. To use it now: {by_service if is_service else by_hand}")
 
 
-def _is_wanted(console: Console, config: Path, *, is_worse: bool) -> bool:
-    """Ask whether to use the model; a model that was right less often only if asked for."""
-    if is_worse:
-        question = "It was right less often. Enter to leave the configuration as it is, u to use it: "
-        return ask(console, question, ("", "u")) == "u"
-    question = f"Enter to use it from now on (in {config}), n to leave the configuration as it is: "
-    return ask(console, question, ("", "n")) == ""
+def _is_wanted(console: Console, config: Path, *, is_better: bool) -> bool:
+    """Ask whether to use the model; one that is not known to be better only if asked for."""
+    if is_better:
+        question = f"Enter to use it from now on (in {config}), n to leave the configuration as it is: "
+        return ask(console, question, ("", "n")) == ""
+    question = f"Enter to leave the configuration as it is, u to use it from now on (in {config}): "
+    return ask(console, question, ("", "u")) == "u"
 
 
 def _write_changed(new: Path, config: Path, model: Path, pad: str | None) -> Settings:

@@ -3,6 +3,7 @@
 import textwrap
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Literal, TypeAlias
 
 from touchd.model.adapt.adapt import Adapted
 from touchd.model.adapt.measure import Comparison, GestureFigures, LengthFigures
@@ -12,6 +13,8 @@ from touchd.model.adapt.plan import LeftOut
 FEW_RECORDINGS = 4
 # If two participants happen to change equally, the interval has no width.
 FEW_PARTICIPANTS = 3
+
+Verdict: TypeAlias = Literal["better", "worse", "unclear"]
 WIDTH = 80
 NAME_WIDTH = 20
 NO_NAMES: Mapping[str, str] = {}
@@ -88,13 +91,24 @@ def _doubts(comparison: Comparison) -> Iterable[str]:
         yield "One participant: no figure for other people, for whom the model may have become worse."
     if not comparison.lengths or comparison.lengths[-1].difference is None:
         return
-    last = comparison.lengths[-1]
-    if comparison.left_out == "participants" and comparison.participants < FEW_PARTICIPANTS:
+    if _are_few(comparison):
         yield f"Fewer than {FEW_PARTICIPANTS} participants: too few to tell whether others gain."
-    elif last.interval is None or last.interval[0] <= 0.0 <= last.interval[1]:
+    elif verdict(comparison) == "unclear":
         yield "Too little to tell whether this is better or worse: chance alone makes such a difference."
-    elif last.interval[1] < 0.0:
+    elif verdict(comparison) == "worse":
         yield "This is worse than the shipped model: keep that, or record more."
+
+
+def verdict(comparison: Comparison) -> Verdict:
+    """Return what the last answers of held-out recordings say of the new model, as far as chance allows."""
+    interval = comparison.lengths[-1].interval if comparison.lengths else None
+    if interval is None or _are_few(comparison):
+        return "unclear"
+    return "better" if interval[0] > 0.0 else "worse" if interval[1] < 0.0 else "unclear"
+
+
+def _are_few(comparison: Comparison) -> bool:
+    return comparison.left_out == "participants" and comparison.participants < FEW_PARTICIPANTS
 
 
 def _in_passing(figures: LengthFigures, names: Mapping[str, str]) -> Iterable[str]:

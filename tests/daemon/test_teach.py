@@ -76,14 +76,14 @@ def config(tmp_path: Path) -> Path:
     return path
 
 
-def used_after(answer: str, config: Path, *, is_worse: bool = False) -> str | None:
+def used_after(answer: str, config: Path, *, is_better: bool = True) -> str | None:
     """Return the configured model after a person answered; the new one lies in a home folder."""
     model = config.parent / "home/lab/lab-2.onnx"
     model.parent.mkdir(parents=True, exist_ok=True)
     model.write_bytes(SHIPPED_MODEL.read_bytes())
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(sys, "stdin", io.StringIO(f"{answer}\n"))
-        teach.put_into_use(Console(file=io.StringIO()), config, model, is_worse=is_worse)
+        teach.put_into_use(Console(file=io.StringIO()), config, model, is_better=is_better)
     return load(config).model
 
 
@@ -109,10 +109,10 @@ def test_line_ends_stay_as_they_are(config: Path) -> None:
     assert config.read_bytes().startswith(b"robot: null\r\nlanguage: de")
 
 
-def test_a_worse_model_is_used_only_if_asked_for(config: Path) -> None:
-    assert used_after("", config, is_worse=True) is None
+def test_a_model_not_known_to_be_better_is_used_only_if_asked_for(config: Path) -> None:
+    assert used_after("", config, is_better=False) is None
     assert used_after("n", config) is None
-    assert used_after("u", config, is_worse=True) == str(config.parent / "home/lab/lab-2.onnx")
+    assert used_after("u", config, is_better=False) == str(config.parent / "home/lab/lab-2.onnx")
 
 
 @pytest.fixture
@@ -203,7 +203,7 @@ teach.SERVICE_FOLDER = folder if sys.argv[2] == "service" else Path("/etc/touchd
 
 def set_model():
     sys.stdin = io.StringIO("\\n")
-    teach.put_into_use(Console(file=io.StringIO()), config, model, is_worse=False)
+    teach.put_into_use(Console(file=io.StringIO()), config, model, is_better=True)
 
 found = set()
 for place in killed_everywhere(folder, set_model):

@@ -31,12 +31,20 @@ from touchd.model.adapt.adapt import Adapted, Features, Pretrained, adapt, logit
 from touchd.model.adapt.backbone import CropFeatures, ended, windows  # noqa: E402
 from touchd.model.adapt.folder import ExtraError, read_all, read_folder  # noqa: E402
 from touchd.model.adapt.head import AdaptSettings, fit, rebuilt  # noqa: E402
-from touchd.model.adapt.measure import Answers, compare, mean_interval, paired_interval, wilson_interval  # noqa: E402
+from touchd.model.adapt.measure import (  # noqa: E402
+    Answers,
+    Comparison,
+    LengthFigures,
+    compare,
+    mean_interval,
+    paired_interval,
+    wilson_interval,
+)
 from touchd.model.adapt.output import model_name  # noqa: E402
 from touchd.model.adapt.passing import InPassing, joined  # noqa: E402
-from touchd.model.adapt.plan import plan  # noqa: E402
+from touchd.model.adapt.plan import LeftOut, plan  # noqa: E402
 from touchd.model.adapt.remembered import Remembered  # noqa: E402
-from touchd.model.adapt.report import report_lines  # noqa: E402
+from touchd.model.adapt.report import report_lines, verdict  # noqa: E402
 from touchd.model.adapt.ship import write  # noqa: E402
 from touchd.model.classifier import SHIPPED_MODEL, Classifier, Name  # noqa: E402
 from touchd.model.studies.checks.hard_cases import hand  # noqa: E402
@@ -638,6 +646,24 @@ def test_learning_from_single_pats_names_single_pats(pretrained: Pretrained) -> 
     values = ended(pretrained.backbone, others)
     right = (logits(learnt.head, values, np.ones(len(others), bool)).argmax(axis=1) == truth).mean()
     assert right > 0.9
+
+
+@pytest.mark.parametrize(
+    ("left_out", "participants", "interval", "said"),
+    [
+        ("recordings", 1, (0.01, 0.2), "better"),
+        ("recordings", 1, (-0.01, 0.2), "unclear"),
+        ("recordings", 1, (-0.2, -0.01), "worse"),
+        ("recordings", 1, None, "unclear"),
+        ("participants", 2, (0.01, 0.2), "unclear"),
+        ("participants", 3, (0.01, 0.2), "better"),
+    ],
+)
+def test_the_verdict_goes_as_far_as_chance_allows(
+    left_out: LeftOut, participants: int, interval: tuple[float, float] | None, said: str
+) -> None:
+    last = LengthFigures(frames=144, gestures={}, before=0.7, after=0.8, interval=interval, all_after=0.8)
+    assert verdict(Comparison(left_out=left_out, participants=participants, lengths=[last])) == said
 
 
 # --- unusable recordings ---
