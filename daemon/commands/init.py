@@ -32,7 +32,7 @@ from touchd.daemon.doctor.hand import (
     turned_with_a_hand,
 )
 from touchd.daemon.doctor.line import group_of_the_next_login
-from touchd.daemon.doctor.machine import check_robot, find_robot, robot_urls
+from touchd.daemon.doctor.machine import certificate_at, check_robot, find_robot, robot_urls
 from touchd.drivers.errors import os_errors_as
 from touchd.drivers.installed import program_name
 from touchd.drivers.numbers import within
@@ -96,7 +96,8 @@ def main(arguments: Sequence[str]) -> int:
     # A port that the user typed is written as typed.
     named = LastingName(port, "as given") if options.port or found is None else lasting_name(port)
     robot = _find_robot(console, _ask_robot(console) if options.robot is None else options.robot)
-    _write(options.file, named.port, baud, described or PRESETS[FABRIC], robot)
+    certificate = certificate_at(robot) if robot and robot.startswith("tcps://") else None
+    _write(options.file, named.port, baud, described or PRESETS[FABRIC], robot, certificate)
     file = shlex.quote(str(options.file))
     later = f"none found, so {file} describes a fabric pad; for another, plug it in, delete {file} and repeat"
     console.print(f"pad: {described}, at {named.port} ({named.why})" if described else f"pad: {later}")
@@ -104,6 +105,8 @@ def main(arguments: Sequence[str]) -> int:
     if robot:
         check = check_robot(load(options.file))
         console.print(f"robot: {check.found}{check.advice and f'; {check.advice}'}")
+        if certificate:
+            console.print(f"from now on, only this robot is trusted (robot.certificate): {certificate}")
         is_well &= check.verdict == "ok"
     console.print(
         f"wrote {file}; next: {program_name()} doctor -c {file}, then {program_name()} run -c {file}"
@@ -125,10 +128,13 @@ def _check(options: argparse.Namespace) -> None:
         check_pad(Settings(sensor=SensorSettings(port=options.port)))
 
 
-def _write(file: Path, port: str, baud: int, described: PadFormat, robot: str | None) -> None:
+def _write(
+    file: Path, port: str, baud: int, described: PadFormat, robot: str | None, certificate: str | None
+) -> None:
     """Write the configuration, and check that it can be loaded."""
     text = f"sensor:\n  port: {_quoted(port)}\n  baud: {baud}\n{_as_settings(described)}"
-    text += f"robot: {f'{{url: {_quoted(robot)}}}' if robot else 'null'}\njournal: {{}}\n"
+    pinned = f", certificate: {_quoted(certificate)}" if certificate else ""
+    text += f"robot: {f'{{url: {_quoted(robot)}{pinned}}}' if robot else 'null'}\njournal: {{}}\n"
     with (
         os_errors_as(ConfigError, f"{file}: cannot be written", "give another path"),
         whole_file(file, replace=False) as new,

@@ -117,9 +117,9 @@ def check_robot(settings: Settings) -> Check:
     if settings.robot is None:
         return Check("robot", "ok", "none is configured")
     wanted = settings.robot
-    is_unknown = wanted.address.scheme == "tcps" and wanted.certificate is None
-    shown = certificate_at(wanted.url) if is_unknown else None
-    pin = f"if it is your robot, set robot.certificate: {shown}" if shown else ""
+    shown = certificate_at(wanted.url) if wanted.address.scheme == "tcps" else None
+    is_unknown = shown is not None and wanted.certificate is None
+    pin = f"if it is your robot, set robot.certificate: {shown}" if is_unknown else ""
     try:
         version, took_s = _ask_version(wanted)
     except (RobotError, PathError) as error:
@@ -128,7 +128,9 @@ def check_robot(settings: Settings) -> Check:
     except (RobotLost, RobotRefused) as error:
         advice = "is that a robot with NAOqi? check robot.url"
         if shown and not wanted.user:
-            advice = f"set robot.user and robot.token_file ({program_name()} docs install); {pin}"
+            advice = (
+                f"set robot.user and robot.token_file ({program_name()} docs install){pin and f'; {pin}'}"
+            )
             return Check("robot", "to do", f"{wanted.url} answers, and asks for a login", advice)
         if isinstance(error, RobotLost):
             advice = "is it switched on, and can this machine reach it? ping it; check robot.url"

@@ -54,7 +54,7 @@ SERVICE_INFO, METHODS = "(sIsI[s]s)", "({I(Issss[(ss)]s)})"
 
 
 class Closed(RobotLost):
-    """The connection was closed, or what answers is no robot."""
+    """The connection was closed, or what answers is no robot. Other services may still be there."""
 
 
 class Wait:
@@ -121,7 +121,7 @@ class Connection:
             raise RobotLost(f"{wait.what}: {error.strerror or error}; {ADVICE}") from error
 
     def connected(self) -> bool:
-        return not self._ended.poll(0)
+        return self._line.fileno() != -1 and not self._ended.poll(0)
 
     def call(self, target: tuple[int, int, int], payload: bytes, returns: str, wait: Wait) -> object:
         """Return the answer, read by its signature; raises RobotRefused too."""
@@ -133,13 +133,14 @@ class Connection:
             self._line.settimeout(SLICE_S)
             kind, flags, answer = self._answer(wait)
         except OSError as error:
+            self.close()
             raise Closed(f"{wait.what}: {error.strerror or error}") from error
         try:
             if kind == REPLY:
                 return read("m" if flags & IS_DYNAMIC else returns, answer)
             why = str(read("m", answer)) if kind == ERROR else "canceled"
         except ValueFault as fault:
-            raise RobotRefused(f"{wait.what}: its answer cannot be read: {fault}") from fault
+            raise Closed(f"{wait.what}: the answer cannot be read ({fault})") from fault
         raise RobotRefused(one_line(f"{wait.what}: {(why.splitlines() or ['refused'])[0]}"))
 
     def close(self) -> None:
@@ -150,6 +151,7 @@ class Connection:
         while True:
             magic, number, size, _, kind, flags, *_ = HEADER.unpack(self._bytes(HEADER.size, wait))
             if magic != MAGIC or size > MOST_BYTES:
+                self.close()
                 raise Closed(f"{wait.what}: what answers there does not speak NAOqi's protocol")
             if number == self._number and kind in (REPLY, ERROR, CANCELED):
                 return kind, flags, self._bytes(size, wait)
@@ -201,16 +203,16 @@ class WireSession:
         return () in self._connections and self._connections[()].connected()
 
     def call(self, service: str, method: str, *arguments: object, limit_s: float) -> object:
-        if service not in self._services:
-            self._services[service] = self._find(service)
-        connection, number, methods = self._services[service]
         what = f"{service}.{method}"
-        action, payload, returns = _fitting(methods, what, arguments)
         try:
+            if service not in self._services:
+                self._services[service] = self._find(service)
+            connection, number, methods = self._services[service]
+            action, payload, returns = _fitting(methods, what, arguments)
             return connection.call((number, OBJECT, action), payload, returns, self._wait(what, limit_s))
         except (RobotRefused, Closed) as error:
             # The service may have ended; once it is back, it has another number.
-            del self._services[service]
+            self._services.pop(service, None)
             if isinstance(error, Closed) and self.connected():
                 raise RobotRefused(str(error)) from error
             raise

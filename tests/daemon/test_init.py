@@ -227,6 +227,7 @@ def test_a_robots_name_finds_its_protocol_and_port(
             found = load(FILE).robot
             assert found is not None
             assert found.url == f"{scheme}://localhost:{port}"
+            assert (found.certificate or "").startswith("sha256:") == (login is not None)
             assert said.format(found.url) in capsys.readouterr().err
             FILE.unlink()
 

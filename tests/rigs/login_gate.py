@@ -28,11 +28,13 @@ class Gate:
     """Lets clients with the right login through to a server on this machine.
 
     port: where to listen on 127.0.0.1. inner_port: the server's. authority: signs the certificate.
+    first_messages: of each client.
     """
 
     def __init__(self, port: int, inner_port: int, login: Login, authority: trustme.CA) -> None:
         self._inner_port = inner_port
-        self._login = login
+        self.login = login
+        self.first_messages: list[bytes] = []
         self._tls = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         authority.issue_cert("nao").configure_cert(self._tls)
         self._listener = socket.create_server(("127.0.0.1", port))
@@ -52,7 +54,8 @@ class Gate:
             plain.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             with self._tls.wrap_socket(plain, server_side=True) as client:
                 first = _first_message(client)
-                if not _holds(first, self._login):
+                self.first_messages.append(first)
+                if not _holds(first, self.login):
                     client.sendall(_refusal(first))
                     return
                 with socket.create_connection(("127.0.0.1", self._inner_port)) as server:

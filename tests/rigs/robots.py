@@ -52,7 +52,7 @@ class Robot(LoopbackRobot):
     ) -> None:
         self.calls = CallLog()
         self._login = login
-        self._gate: Gate | None = None
+        self.gate: Gate | None = None
         self._gate_port = free_port()
         self.authority = trustme.CA()
         options = [f"--port={free_port()}", f"--call-s={call_s}", f"--say-s={say_s}"]
@@ -66,13 +66,13 @@ class Robot(LoopbackRobot):
         """Switch it on, also after kill()."""
         super().start()
         if self._login is not None:
-            self._gate = Gate(self._gate_port, int(self.url.rpartition(":")[2]), self._login, self.authority)
+            self.gate = Gate(self._gate_port, int(self.url.rpartition(":")[2]), self._login, self.authority)
             self.url = f"tcps://127.0.0.1:{self._gate_port}"
 
     def stop(self) -> None:
         super().stop()
-        if self._gate is not None:
-            self._gate.close()
+        if self.gate is not None:
+            self.gate.close()
 
     def kill(self) -> None:
         """Switch it off at once."""
