@@ -5,6 +5,7 @@ import re
 import select
 import socket
 
+from touchd.drivers import hosts
 from touchd.drivers.pad.why_not import ClosedAtOnceError
 
 ADDRESS = re.compile(r"(tcp|udp|socket)://(\[[^\s\]]+\]|[^\s/:?]+)(?::(\d{0,5}))?")
@@ -43,16 +44,14 @@ class NetworkPort:
     def __init__(self, port: str, protocol: str, host: str, number: int, timeout_s: float) -> None:
         self.port = port
         self.baudrate = 0
-        where = (host, number)
         self.is_stream = protocol == "tcp"
         if self.is_stream:
-            self._socket = socket.create_connection(where, CONNECT_S)
-            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._socket = hosts.connect(host, number, CONNECT_S)
         else:
             family = socket.AF_INET6 if ":" in host else socket.AF_INET
             self._socket = socket.socket(family, socket.SOCK_DGRAM)
             try:
-                self._socket.bind(where)
+                self._socket.bind((host, number))
             except OSError as error:
                 self._socket.close()
                 if error.errno in WHY_NOT_BOUND:
