@@ -185,7 +185,14 @@ def pyproject() -> dict[str, Any]:
 
 def test_every_python_package_is_installed(pyproject: dict[str, Any]) -> None:
     packages = {"touchd." + str(path.parent.relative_to(ROOT)).replace("/", ".") for path in PACKAGES}
-    assert set(pyproject["tool"]["setuptools"]["packages"]) == {*packages, "touchd.docs"}
+    # Folders of data without code.
+    packages |= {
+        "touchd.docs",
+        "touchd.daemon.live.static",
+        "touchd.daemon.playback.data",
+        "touchd.model.weights",
+    }
+    assert set(pyproject["tool"]["setuptools"]["packages"]) == packages
 
 
 def test_every_page_that_a_message_names_is_installed(pyproject: dict[str, Any]) -> None:
