@@ -6,7 +6,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from rigs.expectations import GESTURES, LENGTHS, RECORDINGS, answers, expected, outline, stream_of
+from rigs.expectations import LENGTHS, RECORDINGS, answers, expected, outline, stream_of
 from rigs.haart_folder import needs_haart, recordings_of
 from rigs.line_faults import Faults
 from rigs.patient_port import PATIENT, PatientPort
@@ -64,9 +64,9 @@ def run(tmp_path: Path) -> Callable[..., list[Event]]:
     return run
 
 
-# The gestures are also checked by `touchd classify`, without a port.
+# `touchd classify` checks the gestures without a port, too.
 SHIPPED = [
-    pytest.param(path, id=path.name, marks=[pytest.mark.slow] if path == GESTURES else [])
+    pytest.param(path, id=path.name, marks=[] if path == LENGTHS else [pytest.mark.slow])
     for path in RECORDINGS
 ]
 
@@ -78,7 +78,8 @@ def test_shipped_recordings_give_the_expected_events(
     assert outline(run(stream_of(recording))) == expected(recording)
 
 
-@pytest.mark.parametrize("noise", [pytest.param(0.0, marks=pytest.mark.slow), 1.5])
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [0.0, 1.5])
 def test_touches_of_a_session_stay_apart_through_a_port(
     run: Callable[..., list[Event]], noise: float
 ) -> None:
@@ -123,10 +124,10 @@ def test_the_robot_gets_exactly_the_told_answers(run: Callable[..., list[Event]]
         assert robot.calls.raised("TouchGesture/Gesture") == told
 
 
-@pytest.mark.parametrize("seconds", [15.0, pytest.param(60.0, marks=pytest.mark.slow)])
-def test_without_a_touch_the_robot_is_told_nothing(run: Callable[..., list[Event]], seconds: float) -> None:
+@pytest.mark.slow
+def test_without_a_touch_the_robot_is_told_nothing(run: Callable[..., list[Event]]) -> None:
     with Robot() as robot:
-        at_rest = splice(simulate([("notouch", seconds)], seed=5))
+        at_rest = splice(simulate([("notouch", 60.0)], seed=5))
         emitted = run(at_rest, robot=RobotSettings(url=robot.url))
         robot.calls.wait_for_raise("TouchGesture/Status", "down")
         assert robot.calls.raised("TouchGesture/Gesture") == []

@@ -21,6 +21,8 @@ def test_every_stream_has_its_expected_events() -> None:
     assert [path.name for path in pairs.paths() if not expectation_of(path).exists()] == []
 
 
+# It guards `make expectations`, not the program.
+@pytest.mark.slow
 def test_the_made_up_streams_are_what_their_functions_make() -> None:
     others = [name for name, made in STREAMS.items() if not pairs.holds(FOLDER / f"{name}.csv.gz", made())]
     others += [name for name, made in LINES.items() if read_line(FOLDER / f"{name}.line.gz") != made()]

@@ -99,14 +99,9 @@ def of(person: str | None, row: evaluate.Score) -> float:
     return row.per_participant[person] if person else row.accuracy
 
 
-def on(person: str) -> pytest.MarkDecorator:
-    """Parametrize: this person in the quick suite, everyone in the slow one."""
-    return pytest.mark.parametrize("person", [person, pytest.param(None, marks=pytest.mark.slow)])
-
-
 @needs_haart
 @pytest.mark.timeout(300)
-@on("T9")
+@pytest.mark.parametrize("person", ["T9", pytest.param(None, marks=pytest.mark.slow)])
 def test_the_test_participants_score_as_published(scores: Scores, person: str | None, tmp_path: Path) -> None:
     if person:
         published_recordings = one_person(haart.TEST_FILE, person, tmp_path)
@@ -132,8 +127,9 @@ def test_the_held_out_participants_score_as_published(scores: Scores) -> None:
 
 
 @needs_second_study
+@pytest.mark.slow
 @pytest.mark.timeout(300)
-@on("R14")
+@pytest.mark.parametrize("person", ["R14", None])
 def test_the_second_study_scores_as_published(scores: Scores, person: str | None, tmp_path: Path) -> None:
     if person:
         stored_recordings = one_person(second_study.FILES[0], person, tmp_path, SECOND_STUDY)
@@ -151,8 +147,9 @@ def test_the_second_study_scores_as_published(scores: Scores, person: str | None
 
 
 @needs_third_study
+@pytest.mark.slow
 @pytest.mark.timeout(300)
-@on("S10")
+@pytest.mark.parametrize("person", ["S10", None])
 def test_the_third_study_scores_as_published(scores: Scores, person: str | None, tmp_path: Path) -> None:
     folder = Path(str(THIRD_STUDY))
     if person:
