@@ -1,5 +1,6 @@
 // Passes messages to the parts that show them, and draws only when something has arrived.
 
+import "./older.js";
 import { Announcer } from "./announce.js";
 import { describePressure, HeatMap, showMarks, Trail } from "./heat.js";
 import { Labels } from "./label.js";
