@@ -7,7 +7,6 @@ import io
 import os
 import re
 import signal
-import socket
 import sys
 from collections.abc import Sequence
 from importlib import metadata
@@ -151,9 +150,9 @@ def _explained(error: Exception) -> tuple[str, int]:
         what = f"{error.filename}: {error.strerror}; give another path, or put sudo before the command"
         return what, USERS_MISTAKE
     if isinstance(error, TouchdError):
-        # A name server that cannot be reached yet: systemd starts the service again.
+        # An address that this computer does not have yet: systemd starts the service again.
         cause = error.__cause__
-        is_early = isinstance(cause, socket.gaierror) and cause.errno == socket.EAI_AGAIN
+        is_early = isinstance(cause, OSError) and cause.errno == errno.EADDRNOTAVAIL
         return str(error), OUR_MISTAKE if is_early else USERS_MISTAKE
     what = " ".join(f"internal error: {type(error).__name__}: {error}; --debug shows the trace".split())
     if os.environ.get("PYTHONPATH"):

@@ -4,7 +4,6 @@ import errno
 import io
 import ipaddress
 import logging
-import os
 import re
 import socket
 
@@ -20,8 +19,7 @@ log = logging.getLogger(__name__)
 SEND_BUFFER_BYTES = 16 * 1024
 EVERY_ADDRESS = ("0.0.0.0", "::")
 HIGHEST_PORT = 65535
-# Options that let a socket listen at an address that this computer has not got yet; see ip(7) and ipv6(7).
-FREEBIND = {socket.AF_INET: (socket.IPPROTO_IP, 15), socket.AF_INET6: (socket.IPPROTO_IPV6, 78)}
+EXAMPLE_PORT = 8061
 
 
 class LiveError(TouchdError):
@@ -43,58 +41,54 @@ def parse_address(text: str, configured: LiveSettings | None) -> LiveSettings:
 
 
 def listen(settings: LiveSettings) -> socket.socket:
-    """Return a socket that listens where these settings say; raises LiveError."""
-    host = settings.host
-    takes_both = host == "::" and socket.has_dualstack_ipv6()
+    """Return a socket that listens where these settings say; raises LiveError.
+
+    A name that is not this computer's is one by which others know it, as the name of a container's computer:
+    then it listens at every address.
+    """
+    host, port = settings.host, settings.port
     try:
-        found = socket.getaddrinfo(host, settings.port, type=socket.SOCK_STREAM)
-        # A name may have an IPv6 address alone, as localhost on some computers.
-        family, *_, address = min(found, key=lambda entry: entry[0] != socket.AF_INET)
-        try:
-            listening = socket.create_server(address[:2], family=family, dualstack_ipv6=takes_both)
-        except OSError as error:
-            # systemd may start the service before the network gives this computer its address.
-            if error.errno != errno.EADDRNOTAVAIL or "NOTIFY_SOCKET" not in os.environ:
-                raise
-            listening = _listen_early(family, (str(address[0]), settings.port))
-            log.warning("live page: this computer does not have the address %s yet; waiting for it", host)
+        listening = _listen_at(host, port)
     except OSError as error:
-        where = f"the live page cannot listen on {host} port {settings.port}"
-        raise LiveError(f"{where}: {_why(error, settings.port)}") from error
-    number = listening.getsockname()[0]
-    if ipaddress.ip_address(number).is_loopback and host != number and "localhost" not in host:
-        advice = "no other computer can see the page; 0.0.0.0 serves it to the network"
-        log.warning("live page: %s is %s here, as /etc/hosts may say: %s", host, number, advice)
+        if not (error.errno == errno.EADDRNOTAVAIL or isinstance(error, socket.gaierror)) or _is_number(host):
+            raise _cannot_listen(host, port, error) from error
+        log.warning("live page: %s is no name of this computer; serving at all of its addresses", host)
+        try:
+            listening = _listen_at("0.0.0.0", port)
+        except OSError as other:
+            raise _cannot_listen("0.0.0.0", port, other) from other
     # Inherited by every connection.
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
     return listening
 
 
-def _listen_early(family: socket.AddressFamily, address: tuple[str, int]) -> socket.socket:
-    listening = socket.socket(family)
-    try:
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listening.setsockopt(*FREEBIND[family], 1)
-        listening.bind(address)
-        listening.listen()
-    except OSError:
-        listening.close()
-        raise
-    return listening
+def _listen_at(host: str, port: int) -> socket.socket:
+    found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    # A name may have an IPv6 address alone, as localhost on some computers.
+    family, *_, address = min(found, key=lambda entry: entry[0] != socket.AF_INET)
+    takes_both = host == "::" and socket.has_dualstack_ipv6()
+    return socket.create_server(address[:2], family=family, dualstack_ipv6=takes_both)
 
 
-def _why(error: OSError, port: int) -> str:
+def _cannot_listen(host: str, port: int, error: OSError) -> LiveError:
     if error.errno == errno.EADDRINUSE:
-        return f"another program does, perhaps another touchd; end it, or choose another port than {port}"
-    if error.errno == errno.EACCES:
-        return "ports below 1024 are the system's; choose a higher one"
-    if error.errno == socket.EAI_AGAIN:
-        return (
-            "no name server answers; wait for the network, or give a number: 0.0.0.0 serves the page to all"
-        )
-    if error.errno == errno.EADDRNOTAVAIL or isinstance(error, socket.gaierror):
-        return "this computer has no such address; 127.0.0.1 is this computer alone, 0.0.0.0 the network too"
-    return f"{error.strerror}; choose another address"
+        another = EXAMPLE_PORT if port != EXAMPLE_PORT else EXAMPLE_PORT + 1
+        why = f"another program does, perhaps another touchd; choose another port: --live {another}"
+    elif error.errno == errno.EACCES:
+        why = "ports below 1024 are the system's; choose a higher one"
+    elif error.errno == errno.EADDRNOTAVAIL:
+        why = "this computer has no such address; 127.0.0.1 is this computer alone, 0.0.0.0 the network too"
+    else:
+        why = f"{error.strerror}; choose another address"
+    return LiveError(f"the live page cannot listen on {host} port {port}: {why}")
+
+
+def _is_number(host: str) -> bool:
+    try:
+        ipaddress.ip_address(host)
+    except ValueError:
+        return False
+    return True
 
 
 def urls_of(settings: LiveSettings, port: int) -> list[str]:
@@ -134,8 +128,4 @@ def is_own_host(host: str, names: frozenset[str]) -> bool:
     if match is None:
         return False
     name = match[1].strip("[]").lower()
-    try:
-        ipaddress.ip_address(name)
-    except ValueError:
-        return name in names
-    return True
+    return name in names or _is_number(name)

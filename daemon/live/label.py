@@ -35,8 +35,6 @@ class Labels:
     """Takes labels from viewers on this computer. find: returns the beginning of a pad's touch, if shown."""
 
     MOST_MESSAGE_BYTES = 512
-    # A label a second.
-    BYTES_PER_S = 128.0
 
     def __init__(self, labeller: Labeller, find: Callable[[str, int], TouchBegan | None]) -> None:
         self._labeller = labeller

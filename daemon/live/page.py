@@ -19,8 +19,13 @@ TYPES = {
 }
 # Same origin only, nothing inline, no framing.
 POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; "
+    # Safari before 15.4 does not count the page's own websocket as 'self'.
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self' ws: wss:; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+OTHER_NAME = (
+    "touchd does not serve its page by this name. Use the computer's address instead, or write the name\n"
+    "into touchd's configuration and start touchd again:\n\n  live:\n    host: NAME\n"
 )
 HEADERS = {
     "Content-Security-Policy": POLICY,
@@ -48,7 +53,7 @@ class Page:
         """Return the answer to a request, None for a valid request for the stream."""
         hosts = request.headers.get_all("Host")
         if len(hosts) != 1 or not is_own_host(hosts[0], self._names):
-            return _answer(HTTPStatus.FORBIDDEN, "The page is not known by this name.\n")
+            return _answer(HTTPStatus.FORBIDDEN, OTHER_NAME)
         path = request.path.partition("?")[0]
         if path == STREAM:
             # Browsers always send the origin of the asking page; other clients send none.

@@ -64,7 +64,6 @@ class Messages(Protocol):
     """Receives what viewers send."""
 
     MOST_MESSAGE_BYTES: int
-    BYTES_PER_S: float
 
     def take(self, viewer: ServerConnection, message: str | bytes) -> str:
         """Take a viewer's message; returns why it is refused, or ""."""
@@ -163,10 +162,8 @@ class LiveServer:
     async def _serve(self) -> None:
         # Keep clients' connects and errors out of the daemon's log.
         logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
-        most_bytes, door = MOST_HEARD_BYTES, Door(MOST_CONNECTIONS)
-        if self._messages is not None:
-            most_bytes = self._messages.MOST_MESSAGE_BYTES
-            door = Door(MOST_CONNECTIONS, self._messages.BYTES_PER_S)
+        most_bytes = self._messages.MOST_MESSAGE_BYTES if self._messages else MOST_HEARD_BYTES
+        door = Door(MOST_CONNECTIONS)
         server = await serve(
             self._watch,
             sock=self.listening,

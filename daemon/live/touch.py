@@ -50,8 +50,6 @@ class Touching:
     """
 
     MOST_MESSAGE_BYTES = 512
-    # Ten fingers with long numbers, 60 times a second.
-    BYTES_PER_S = 30_000.0
 
     def __init__(self) -> None:
         self.near_s = -math.inf

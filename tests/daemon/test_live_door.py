@@ -13,7 +13,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from touchd.daemon.app import cli
 from touchd.daemon.app.cli import complain
 from touchd.daemon.app.config import ConfigError, LiveSettings
-from touchd.daemon.live.address import LiveError, is_own_host, listen, parse_address
+from touchd.daemon.live.address import LiveError, is_own_host, listen, own_names, parse_address
 from touchd.daemon.live.page import FOLDER
 from touchd.daemon.live.server import HANDSHAKE_S, MOST_CONNECTIONS
 from touchd.daemon.live.viewers import MOST_VIEWERS
@@ -96,7 +96,9 @@ def test_only_get_requests_are_accepted(served: Served) -> None:
 
 @pytest.mark.parametrize("path", ["/", "/stream"])
 def test_a_foreign_host_name_is_refused(served: Served, path: str) -> None:
-    assert served.ask(path, Host=f"evil.example:{served.port}").status == 403
+    answer = served.ask(path, Host=f"evil.example:{served.port}")
+    assert answer.status == 403
+    assert "live:\n    host: NAME" in answer.read().decode()
 
 
 @pytest.mark.parametrize("origin", ["http://evil.example", "null", "http://127.0.0.1:1"])
@@ -161,6 +163,7 @@ def test_a_port_in_use_is_reported_in_one_line(command: str, capfd: pytest.Captu
     said = capfd.readouterr().err.splitlines()
     assert len(said) == 1
     assert f"cannot listen on 127.0.0.1 port {port}: another program does" in said[0]
+    assert "--live 8061" in said[0]
 
 
 def test_a_name_with_an_ipv6_address_alone_is_served(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -175,40 +178,29 @@ def test_a_name_with_both_addresses_is_served_at_ipv4() -> None:
         assert listening.getsockname()[0] == "127.0.0.1"
 
 
-def test_a_service_started_before_the_network_serves_its_address_later(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+@pytest.mark.parametrize("found", [("192.0.2.1", 0), None], ids=["elsewhere", "nowhere"])
+def test_a_name_of_another_computer_is_served_and_answered_to(
+    found: tuple[str, int] | None, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
-    with pytest.raises(LiveError, match="this computer has no such address"):
+    look_up = socket.getaddrinfo
+
+    def getaddrinfo(host: str, *arguments: object, **options: object) -> object:
+        if host != "labserver":
+            return look_up(host, *arguments, **options)  # type: ignore[arg-type]
+        if found is None:
+            raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+        return [(socket.AF_INET, socket.SOCK_STREAM, 6, "", found)]
+
+    monkeypatch.setattr(socket, "getaddrinfo", getaddrinfo)
+    settings = LiveSettings(host="labserver", port=0)
+    with listen(settings) as listening:
+        assert listening.getsockname()[0] == "0.0.0.0"
+    assert "labserver is no name of this computer; serving at all of its addresses" in caplog.text
+    assert is_own_host("labserver:8054", own_names(settings))
+
+
+def test_an_address_of_another_computer_is_refused_and_tried_again_by_systemd() -> None:
+    with pytest.raises(LiveError, match="this computer has no such address") as raised:
         listen(LiveSettings(host="192.0.2.1", port=0))
-    monkeypatch.setenv("NOTIFY_SOCKET", "as systemd sets it for a service")
-    with listen(LiveSettings(host="192.0.2.1", port=0)) as listening:
-        assert listening.getsockname()[0] == "192.0.2.1"
-    assert "this computer does not have the address 192.0.2.1 yet; waiting for it" in caplog.text
-
-
-def test_a_service_started_before_any_name_server_is_started_again(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def unanswered(*_: object, **__: object) -> None:
-        raise socket.gaierror(socket.EAI_AGAIN, "Temporary failure in name resolution")
-
-    monkeypatch.setattr(socket, "getaddrinfo", unanswered)
-    with pytest.raises(LiveError) as raised:
-        listen(LiveSettings(host="robot.lab", port=0))
-    # systemd does not start it again after 2.
+    # At boot the address may come late; systemd does not start the service again after 2.
     assert complain(raised.value) == 1
-    assert "cannot listen on robot.lab port 0: no name server answers" in capsys.readouterr().err
-
-
-def test_a_name_that_is_this_computer_alone_is_warned_of(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    for host in ("127.0.0.1", "localhost"):
-        listen(LiveSettings(host=host, port=0)).close()
-    assert caplog.text == ""
-    # As Debian writes the computer's own name into /etc/hosts.
-    own = (socket.AF_INET, socket.SOCK_STREAM, 6, "", ("127.0.1.1", 0))
-    monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: [own])
-    listen(LiveSettings(host="labpc", port=0)).close()
-    assert "labpc is 127.0.1.1 here, as /etc/hosts may say: no other computer can see the page" in caplog.text
