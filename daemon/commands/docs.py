@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.markdown import Markdown
 
-from touchd.daemon.view.width import text_width
+from touchd.daemon.view.terminal import text_width
 
 # Pictures, and the marks around tables: a terminal shows neither.
 NOT_FOR_TERMINALS = re.compile(r"^(?:!\[.*\]\(.*\)|<!--.*-->)\n\n?", re.MULTILINE)

@@ -14,7 +14,7 @@ from touchd.daemon.commands.settings import parsed
 from touchd.daemon.doctor.check import Check, Verdict
 from touchd.daemon.doctor.examine import examine
 from touchd.daemon.doctor.hand import add_grid, can_ask
-from touchd.daemon.view.width import text_width
+from touchd.daemon.view.terminal import text_width
 from touchd.drivers.numbers import within
 
 VERDICT_WIDTH, NAME_WIDTH = 11, 11

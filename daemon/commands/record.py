@@ -11,8 +11,7 @@ from touchd.daemon.record.capture import PadReader
 from touchd.daemon.record.dialogue import GESTURES, HOW, Dialogue, Terms
 from touchd.daemon.record.session import Session
 from touchd.daemon.record.who import ask_setting, name
-from touchd.daemon.view.ask import Stopped
-from touchd.daemon.view.width import text_width
+from touchd.daemon.view.terminal import Stopped, text_width
 from touchd.drivers.numbers import within
 from touchd.drivers.recording import prepare
 from touchd.model.adapt.folder import trouble_with

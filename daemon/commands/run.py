@@ -25,7 +25,7 @@ from touchd.daemon.sinks.labels import make_labeller
 from touchd.daemon.sinks.sink import LinesSink
 from touchd.daemon.sinks.tags import TagServer, changed
 from touchd.daemon.view.describe import describe
-from touchd.daemon.view.keys import listening
+from touchd.daemon.view.terminal import listening
 
 # Python's thread switch interval; its default, 5 ms, is longer than an answer takes.
 SWITCH_S = 0.0005

@@ -21,8 +21,7 @@ from touchd.daemon.record.dialogue import GESTURES, HOW, HOW_ONCE, Dialogue, Ter
 from touchd.daemon.record.session import Session
 from touchd.daemon.record.who import Setting, ask_name, name
 from touchd.daemon.robot.words import name_of, words_of
-from touchd.daemon.view.ask import Stopped, ask
-from touchd.daemon.view.width import text_width
+from touchd.daemon.view.terminal import Stopped, ask, text_width
 from touchd.drivers.errors import TouchdError, os_errors_as
 from touchd.drivers.installed import program_name
 from touchd.drivers.numbers import within

@@ -11,11 +11,10 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
-from rich.console import Console
+from rich.console import Console, Group
 from rich.live import Live
 
-from touchd.daemon.view.pad_picture import as_text, level_of, pad_picture
-from touchd.daemon.view.palette import palette_for
+from touchd.daemon.view.pad_picture import pad_picture, palette_for
 from touchd.drivers.frame import COLUMNS, ROWS
 from touchd.drivers.pad.format import LONGEST_SIDE, SHORTEST_SIDE, PadFormat
 from touchd.drivers.pad.parser import FrameParser
@@ -225,6 +224,5 @@ def _follows(console: Console, opened: Line, described: PadFormat) -> bool:
                 rest = now if rest is None else np.minimum(rest + 0.05, now)
                 if time.monotonic() - shown_s > SHOW_EVERY_S:
                     shown_s = time.monotonic()
-                    levels = level_of(now - rest)
-                    live.update(as_text(pad_picture(levels, PICTURE_SCALE, palette)), refresh=True)
+                    live.update(Group(*pad_picture(now - rest, PICTURE_SCALE, palette)), refresh=True)
     return not sys.stdin.readline().strip().lower().startswith("n")

@@ -30,11 +30,9 @@ from touchd.daemon.record.capture import (
 )
 from touchd.daemon.record.session import Session, Take
 from touchd.daemon.sinks.touch_store import description_of
-from touchd.daemon.view.ask import Stopped, ask
-from touchd.daemon.view.big_words import big
-from touchd.daemon.view.keys import listening
-from touchd.daemon.view.pad_picture import as_text, level_of, pad_picture
-from touchd.daemon.view.palette import palette_for
+from touchd.daemon.view.elements import big
+from touchd.daemon.view.pad_picture import pad_picture, palette_for
+from touchd.daemon.view.terminal import Stopped, ask, listening
 from touchd.drivers.frame import COLUMNS, NO_TOUCH, OTHER, ROWS, Counts, Frame
 from touchd.drivers.pad.pace import pace_of
 from touchd.drivers.recording import RecordingError, write_recordings
@@ -290,13 +288,11 @@ def progress(console: Console) -> Iterator[Show]:
     def draw() -> Table:
         step, elapsed_s, length_s, pressure = shown
         width = min(WIDTH, console.width - COLUMNS * PAD_SCALE - GAP)
-        words = [Text(line, style="bold") for line in big(step, width, False)]
+        words = [Text(line, style="bold") for line in big(step, width)]
         left = Text(f"{step}, {math.ceil(length_s - elapsed_s)} s")
         bar = ProgressBar(total=length_s, completed=elapsed_s, width=width)
         grid = Table.grid(padding=(1, GAP))
-        grid.add_row(
-            as_text(pad_picture(level_of(pressure), PAD_SCALE, palette)), Group(*words, "", left, bar)
-        )
+        grid.add_row(Group(*pad_picture(pressure, PAD_SCALE, palette)), Group(*words, "", left, bar))
         return grid
 
     with Live(get_renderable=draw, console=console, transient=True, refresh_per_second=REFRESH_HZ):

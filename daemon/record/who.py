@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from rich.console import Console
 
-from touchd.daemon.view.ask import Stopped, ask_line
+from touchd.daemon.view.terminal import Stopped, ask_line
 
 # Names become parts of file names, separated by "_", and cells of CSV files.
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9-]{0,31}")

@@ -1,55 +1,106 @@
-"""The pad in half blocks, so that taxels are square."""
+"""The pad in half blocks, so that taxels are square, in the live page's colours."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
+from dataclasses import dataclass
 from functools import cache
 from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.segment import Segment
+from rich.console import Console
+from rich.style import Style
 from rich.text import Text
 
-from touchd.daemon.view.palette import CHARACTERS, Palette, halves
 from touchd.drivers.frame import COLUMNS
 
 # As on the live page: colours follow the logarithm of pressure, from "light" to "firm" counts.
 LIGHT_COUNTS = 4.0
 FIRM_COUNTS = 250.0
+# The page's dark theme, which rich turns into the terminal's colours; from no pressure to firm.
+PAPER = "on #0c0f13"
+HEAT = ("#171c24", "#42249a", "#85248a", "#d04361", "#f9903f", "#fdf4b5")
+SHADES = 64
+# Without colours.
+CHARACTERS = " ·:-=+*#%@"
+COLOURS = {
+    "ink": "#f3f5f8",
+    "muted": "#aab4c2",
+    "faint": "#5d6877",
+    "accent": "#7cc4ff",
+    "changed": "#ffb65c",
+    "robot": "#9be7c4",
+    "bad": "#ff9a9a",
+    "accent_flag": "#f3f5f8 on #17364f",
+    "changed_flag": "#ffb65c on #3b2a12",
+    "rail": "#2b323d",
+    "trace": "#2f5d80",
+}
 
-DrawnLine = list[Segment]
+
+@dataclass(frozen=True)
+class Palette:
+    """All styles. heat: from no pressure to firm, empty without colours."""
+
+    paper: Style
+    ink: Style
+    muted: Style
+    faint: Style
+    accent: Style
+    changed: Style
+    robot: Style
+    bad: Style
+    accent_flag: Style
+    changed_flag: Style
+    rail: Style
+    trace: Style
+    heat: tuple[str, ...]
 
 
-def level_of(pressure: NDArray[np.float64], firm: float = FIRM_COUNTS) -> NDArray[np.float64]:
-    """Return counts above rest as levels from 0 to 1."""
-    levels = np.log1p(np.maximum(pressure, 0.0) / LIGHT_COUNTS) / np.log1p(firm / LIGHT_COUNTS)
-    clipped: NDArray[np.float64] = np.minimum(levels, 1.0)
-    return clipped
+def palette_for(console: Console) -> Palette:
+    """Return the palette for a console, with or without colours."""
+    # With NO_COLOR rich keeps the colour system and drops the colours.
+    has_colours = console.color_system is not None and not console.no_color
+    paper = Style.parse(PAPER if has_colours else "")
+    styles = {name: paper + Style.parse(colour if has_colours else "") for name, colour in COLOURS.items()}
+    return Palette(paper=paper, heat=_between(HEAT) if has_colours else (), **styles)
 
 
-def pad_picture(levels: NDArray[np.float64], scale: int, palette: Palette) -> list[DrawnLine]:
-    """Return (8, 8) levels as 4 * scale lines of 8 * scale characters."""
+def pad_picture(pressure: NDArray[np.float64], scale: int, palette: Palette) -> list[Text]:
+    """Return (8, 8) counts above rest as 4 * scale lines of 8 * scale characters."""
+    levels = np.log1p(np.maximum(pressure, 0.0) / LIGHT_COUNTS) / np.log1p(FIRM_COUNTS / LIGHT_COUNTS)
     weights = _weights(scale)
     pixels = np.clip(weights @ levels @ weights.T, 0.0, 1.0)
     if not palette.heat:
-        return [_in_characters(row) for row in pixels[::2]]
-    shades = np.rint(pixels * (len(palette.heat) - 1)).astype(int)
-    return [_in_halves(upper, lower, palette) for upper, lower in zip(shades[::2], shades[1::2], strict=True)]
+        at = np.minimum((pixels[::2] * len(CHARACTERS)).astype(int), len(CHARACTERS) - 1)
+        return [Text("".join(CHARACTERS[i] for i in row)) for row in at.tolist()]
+    shades = np.rint(pixels * (len(palette.heat) - 1)).astype(int).tolist()
+    return [
+        joined(("▀", _halves(palette.heat[a], palette.heat[b])) for a, b in zip(upper, lower, strict=True))
+        for upper, lower in zip(shades[::2], shades[1::2], strict=True)
+    ]
 
 
-def as_text(lines: Sequence[DrawnLine]) -> Text:
-    """Return lines as one text, to be placed beside others."""
-    return Text("\n").join(Text.assemble(*((part.text, part.style or "") for part in line)) for line in lines)
+def joined(cells: Iterable[tuple[str, Style]]) -> Text:
+    """Return a line of characters with their styles."""
+    line = Text()
+    for style, run in groupby(cells, key=lambda cell: cell[1]):
+        line.append("".join(character for character, _ in run), style)
+    return line
 
 
-def _in_halves(upper: NDArray[np.int_], lower: NDArray[np.int_], palette: Palette) -> DrawnLine:
-    heat = palette.heat
-    runs = groupby(zip(upper.tolist(), lower.tolist(), strict=True))
-    return [Segment("▀" * len(list(run)), halves(heat[a], heat[b])) for (a, b), run in runs]
+@cache
+def _halves(upper: str, lower: str) -> Style:
+    """Return the style of ▀ with one colour above another."""
+    return Style(color=upper, bgcolor=lower)
 
 
-def _in_characters(row: NDArray[np.float64]) -> DrawnLine:
-    at = np.minimum((row * len(CHARACTERS)).astype(int), len(CHARACTERS) - 1)
-    return [Segment("".join(CHARACTERS[i] for i in at.tolist()))]
+@cache
+def _between(stops: tuple[str, ...]) -> tuple[str, ...]:
+    """Return SHADES colours along the stops."""
+    rgb = np.array([[int(stop[i : i + 2], 16) for i in (1, 3, 5)] for stop in stops])
+    at = np.linspace(0, len(stops) - 1, SHADES)
+    mixed = np.rint([np.interp(at, range(len(stops)), channel) for channel in rgb.T]).astype(int)
+    return tuple("#{:02x}{:02x}{:02x}".format(*shade) for shade in mixed.T)
 
 
 @cache

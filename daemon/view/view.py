@@ -5,16 +5,16 @@ import signal
 import textwrap
 import threading
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 
 import numpy as np
 from msgspec import field
 from numpy.typing import NDArray
-from rich.console import Console, ConsoleOptions
+from rich.console import Console, ConsoleOptions, RenderResult
 from rich.live import Live
-from rich.segment import Segment
 from rich.style import Style
+from rich.text import Text
 
 from touchd.daemon.app.log import LogGate
 from touchd.daemon.path.events import (
@@ -32,12 +32,9 @@ from touchd.daemon.path.events import (
 from touchd.daemon.robot.words import Vocabulary, name_of
 from touchd.daemon.sinks.labels import LabelError, Labeller, keys_of
 from touchd.daemon.sinks.touches import ReportedTouch
-from touchd.daemon.view.bars import bars
-from touchd.daemon.view.big_words import big
 from touchd.daemon.view.describe import describe
-from touchd.daemon.view.pad_picture import DrawnLine, level_of, pad_picture
-from touchd.daemon.view.palette import palette_for
-from touchd.daemon.view.time_line import Flag, time_line
+from touchd.daemon.view.elements import Flag, bars, big, time_line
+from touchd.daemon.view.pad_picture import pad_picture, palette_for
 from touchd.drivers.frame import COLUMNS, DEFAULT_PAD, FRAME_RATE_HZ, ROWS, Counts, Frame
 
 REFRESH_HZ = 12
@@ -51,12 +48,13 @@ LATE_FRAMES = 3
 LONGEST_TRACE = 60 * 54
 NARROWEST, LOWEST = 40, 16
 LEAST_COLUMNS, LEAST_ROWS = 20, 6
-# Minimum heights for large letters, and for blank lines between parts.
-LOW, HIGH = 18, 33
+# Minimum heights for large letters, and for a card beside the pad.
+LOW, LEAST_CARD_ROWS = 18, 17
 # Room for bars before the first answer.
 FEWEST_BARS = 7
 LARGEST_SCALE = 8
 GAP = 2
+BOLD = Style(bold=True)
 # A message may hold a command to copy, which a single row would cut off.
 NOTE_ROWS = 3
 
@@ -222,131 +220,99 @@ class View:
         self.stop()
         signal.signal(signal.SIGTSTP, self._on_ctrl_z)
 
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> Iterator[Segment]:
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Yield the picture at the size of the terminal."""
         width, height = console.size
         with self._lock:
             # In a smaller terminal, the picture is cut off.
             lines = self._draw(max(width, LEAST_COLUMNS), max(height, LEAST_ROWS))
-        for row, line in enumerate(self._fit(lines, width, height)):
-            if row:
-                yield Segment.line()
-            yield from line
+        whole = Text("\n", self._palette.paper, no_wrap=True, overflow="crop", end="")
+        yield whole.join(_fitted(lines, width, height))
 
-    def _draw(self, width: int, height: int) -> list[DrawnLine]:
+    def _draw(self, width: int, height: int) -> list[Text]:
         keys = self._keys_lines(width) if height >= LOWEST else []
         notes = self._note_lines(width - 2, max(1, min(height // 8, NOTE_ROWS)))
         body = height - 2 - len(keys) - len(notes)
-        card_height = len(self._card) + 1 if self._card and body - len(self._card) >= HIGH - 16 else 0
-        scale = min((width * 9 // 20) // COLUMNS, (body - 1 - card_height) // 4, LARGEST_SCALE)
-        with_pad = width >= NARROWEST and height >= LOWEST and scale >= 2
-        margin = Segment(" ", self._palette.paper)
-        left: list[DrawnLine] = [[margin]] * body
-        right_width = width - 2
-        if with_pad:
-            pad_width = COLUMNS * scale
-            right_width -= pad_width + GAP
-            pad = self._fit(self._left(scale, pad_width, body), pad_width, body)
-            left = [[margin, *line, *[margin] * GAP] for line in pad]
-        right = self._fit(self._right(right_width, body), right_width, body)
-        lines = [[*one, *other] for one, other in zip(left, right, strict=True)]
+        has_card = bool(self._card) and body - len(self._card) >= LEAST_CARD_ROWS
+        pad_rows = body - 1 - (len(self._card) + 1 if has_card else 0)
+        scale = min((width * 9 // 20) // COLUMNS, pad_rows // 4, LARGEST_SCALE)
+        left_width, left = 0, [Text()] * body
+        if width >= NARROWEST and height >= LOWEST and scale >= 2:
+            left_width = COLUMNS * scale + GAP
+            left = _fitted(self._left(scale, COLUMNS * scale, body), left_width, body)
+        right = self._right(width - 2 - left_width, body)
+        right += [Text()] * (body - len(right))
+        lines = [Text.assemble(" ", *both) for both in zip(left, right, strict=False)]
         return [self._header(width), *lines, *keys, self._robot_line(), *notes]
-
-    def _fit(self, lines: list[DrawnLine], width: int, height: int) -> list[DrawnLine]:
-        """Return lines cropped or padded to a width and a height."""
-        return Segment.set_shape(lines[:height], width, height, self._palette.paper)
 
     def _going_on(self) -> ShownTouch | None:
         touch = self._touches[-1] if self._touches else None
         return touch if touch is not None and touch.ended is None else None
 
-    def _header(self, width: int) -> DrawnLine:
+    def _header(self, width: int) -> Text:
         palette = self._palette
-        vitals: DrawnLine = []
+        vitals = Text()
         for name, state in self._states.items():
             style = {"up": palette.accent, "awaited": palette.muted}.get(state, palette.bad)
-            vitals += [
-                Segment(f"  {'●' if state == 'up' else '○'} ", style),
-                Segment(f"{name} {state}", palette.muted),
-            ]
-        taken = sum(segment.cell_length for segment in vitals) + 1
-        title: DrawnLine = [
-            Segment(" touchd", palette.ink + Style(bold=True)),
-            Segment(f"  {self._title}", palette.muted),
-        ]
-        return [*Segment.adjust_line_length(title, max(width - taken, 0), palette.paper), *vitals]
+            vitals.append(f"  {'●' if state == 'up' else '○'} ", style).append(
+                f"{name} {state}", palette.muted
+            )
+        title = Text.assemble((" touchd", palette.ink + BOLD), (f"  {self._title}", palette.muted))
+        title.truncate(max(width - vitals.cell_len - 1, 0), overflow="crop", pad=True)
+        return title.append_text(vitals)
 
-    def _left(self, scale: int, width: int, height: int) -> list[DrawnLine]:
+    def _left(self, scale: int, width: int, height: int) -> list[Text]:
         palette = self._palette
-        lines = pad_picture(level_of(self._pressure), scale, palette)
+        lines = pad_picture(self._pressure, scale, palette)
         if len(lines) < height:
             lines.append(self._scale_line(width))
         if self._card and height - len(lines) > len(self._card):
-            lines += [[], *([Segment(line, Style.parse("#ffffff on #000000"))] for line in self._card)]
+            lines += [Text(), *(Text(line, "#ffffff on #000000") for line in self._card)]
         if height - len(lines) >= 2:
-            lines.append([Segment("Last touches", palette.muted)])
+            lines.append(Text("Last touches", palette.muted))
             ended = [touch for touch in reversed(self._touches) if touch.ended is not None]
-            for touch in ended[: height - len(lines)]:
-                lines.append(self._last_touch(touch))
+            lines += [self._last_touch(touch) for touch in ended[: height - len(lines)]]
         return lines
 
-    def _scale_line(self, width: int) -> DrawnLine:
+    def _scale_line(self, width: int) -> Text:
         palette = self._palette
-        light, firm = "light", "firm"
-        room = width - len(f"{light}  {firm}")
-        if not palette.heat or room < len(palette.heat) // 8:
-            return [Segment(light, palette.muted), Segment(" " * (room + 2)), Segment(firm, palette.muted)]
-        shades = [palette.heat[at * len(palette.heat) // room] for at in range(room)]
-        ramp = [Segment("▄", palette.paper + Style(color=shade)) for shade in shades]
-        return [Segment(f"{light} ", palette.muted), *ramp, Segment(f" {firm}", palette.muted)]
+        room = width - len("light  firm")
+        line = Text("light ", palette.muted)
+        for at in range(room):
+            shade = palette.heat[at * len(palette.heat) // room] if palette.heat else ""
+            line.append("▄" if shade else " ", palette.paper + Style.parse(shade))
+        return line.append(" firm", palette.muted)
 
-    def _last_touch(self, touch: ShownTouch) -> DrawnLine:
+    def _last_touch(self, touch: ShownTouch) -> Text:
         palette = self._palette
         changes = list(dict.fromkeys(said.gesture for said in touch.predictions))
         name = self._name(touch.ended.gesture) if touch.ended else ""
-        line = [
-            Segment(f"{name} ", palette.ink + Style(bold=True)),
-            Segment(f"{touch.length_s:.1f} s", palette.muted),
-        ]
+        line = Text.assemble((f"{name} ", palette.ink + BOLD), (f"{touch.length_s:.1f} s", palette.muted))
         if len(changes) > 1:
             names = ", ".join(self._name(gesture) for gesture in changes[:-1])
-            line.append(Segment(f" ↻ {names} before", palette.changed))
+            line.append(f" ↻ {names} before", palette.changed)
         if touch.label:
-            line.append(Segment(f" = {self._name(touch.label)}", palette.ink))
+            line.append(f" = {self._name(touch.label)}", palette.ink)
         return line
 
-    def _right(self, width: int, height: int) -> list[DrawnLine]:
+    def _right(self, width: int, height: int) -> list[Text]:
         palette = self._palette
         touch = self._touches[-1] if self._touches else None
         is_touched = self._going_on() is not None
-        is_high = height >= HIGH
-        room_for_bars = min(max(len(self._labels), FEWEST_BARS), max(height - 12, 3))
-        lines: list[DrawnLine] = [[Segment(self._which(touch), palette.muted)]]
         word, style = self._answer(touch)
-        letters = big(word, width, is_high) if height >= LOW else [word]
-        lines += [[Segment(line, style + Style(bold=True))] for line in letters]
+        letters = big(word, width) if height >= LOW else [word]
+        lines = [Text(self._which(touch), palette.muted), *(Text(row, style + BOLD) for row in letters)]
         lines += self._remarks(touch)
-        if is_high:
-            lines.append([])
         flags = [self._flag(touch, at) for at in range(len(touch.predictions))] if touch else []
-        trace = list(touch.trace) if touch else []
-        after = (2 * room_for_bars + 2) if is_high else room_for_bars
-        line_height = height - len(lines) - after
+        room_for_bars = min(max(len(self._labels), FEWEST_BARS), max(height - 12, 3))
+        line_height = height - len(lines) - room_for_bars
         if line_height >= 3:
+            trace = list(touch.trace) if touch else []
             lines += time_line(trace, self._marks_s, flags, (width, line_height), palette)
-        if is_high:
-            lines += [[], [Segment("Probabilities", palette.muted)]]
         answer = touch.predictions[-1] if touch and touch.predictions and is_touched else None
         shown = (self._now or answer) if is_touched else None
-        for bar in bars(
-            self._labels,
-            shown.probabilities if shown else {},
-            answer.gesture if answer else "",
-            (width, room_for_bars),
-            palette,
-        ):
-            lines += [bar, []] if is_high else [bar]
-        return lines
+        shares, stands = shown.probabilities if shown else {}, answer.gesture if answer else ""
+        return lines + bars(self._labels, shares, stands, (width, room_for_bars), palette)
 
     def _which(self, touch: ShownTouch | None) -> str:
         if touch is None:
@@ -365,26 +331,26 @@ class View:
             return word, palette.muted
         return word, palette.changed if self._before(touch, len(touch.predictions) - 1) else palette.accent
 
-    def _remarks(self, touch: ShownTouch | None) -> list[DrawnLine]:
+    def _remarks(self, touch: ShownTouch | None) -> list[Text]:
         palette = self._palette
         if touch is None or not touch.predictions:
-            return [[], []]
+            return [Text(), Text()]
         answer = touch.predictions[-1]
         after = f"after {answer.elapsed_s:.3g} s"
-        sure = [Segment(f"{answer.confidence:.0%}", palette.ink + Style(bold=True))]
-        sure.append(Segment(f" sure, {after}", palette.ink))
-        if answer.gesture == UNCERTAIN:
-            # The confidence is the likeliest gesture's.
-            sure = [Segment(after, palette.ink)]
-        remark: DrawnLine = []
+        sure = Text(after, palette.ink)
+        # Of an unsure answer the confidence is the likeliest gesture's.
+        if answer.gesture != UNCERTAIN:
+            share = (f"{answer.confidence:.0%}", palette.ink + BOLD)
+            sure = Text.assemble(share, (f" sure, {after}", palette.ink))
+        remark = Text()
         if before := self._before(touch, len(touch.predictions) - 1):
-            remark.append(Segment(f"↻ was {before} · ", palette.changed))
+            remark.append(f"↻ was {before} · ", palette.changed)
         told = [said for said in touch.predictions if said.told and said.gesture == answer.gesture]
         status = f"told after {told[0].elapsed_s:.3g} s" if told else "not sure enough to tell"
-        remark.append(Segment(status, palette.muted))
+        remark.append(status, palette.muted)
         likeliest = max(answer.probabilities, key=lambda label: answer.probabilities[label])
         if likeliest != answer.gesture and answer.gesture in answer.probabilities:
-            remark.append(Segment(f" · {self._name(likeliest)} is likelier now", palette.muted))
+            remark.append(f" · {self._name(likeliest)} is likelier now", palette.muted)
         return [sure, remark]
 
     def _flag(self, touch: ShownTouch, at: int) -> Flag:
@@ -401,41 +367,37 @@ class View:
         earlier = [one.gesture for one in touch.predictions[:at] if one.gesture != said.gesture]
         return self._name(earlier[-1]) if said.changed and earlier else ""
 
-    def _robot_line(self) -> DrawnLine:
+    def _robot_line(self) -> Text:
         palette = self._palette
         if not self._said_by_robot:
-            return []
-        return [
-            Segment(" Robot ", palette.muted),
-            Segment(self._said_by_robot, palette.robot + Style(bold=True)),
-        ]
+            return Text()
+        return Text.assemble((" Robot ", palette.muted), (self._said_by_robot, palette.robot + BOLD))
 
-    def _keys_lines(self, width: int) -> list[DrawnLine]:
+    def _keys_lines(self, width: int) -> list[Text]:
         """Return which key says what the touch on the screen was; blank lines while there is no touch."""
         palette = self._palette
         if self.labeller is None:
             return []
         touch = self._touches[-1] if self._touches else None
-        lines: list[DrawnLine] = [[Segment(" It was: ", palette.muted)]]
+        lines = [Text(" It was: ", palette.muted)]
         for key, gesture in keys_of(self.labeller.gestures[self._shown_pad]).items():
             style = palette.accent if touch and gesture == touch.label else palette.ink
-            entry = [Segment(key, style + Style(bold=True)), Segment(f" {self._name(gesture)} ", style)]
-            # A line ends with a blank that may be cut off.
-            if Segment.get_line_length([*lines[-1], *entry]) > width + 1:
-                lines.append([Segment(" ", palette.muted)])
-            lines[-1] += [*entry, Segment(" ", style)]
-        return lines if touch else [[] for _ in lines]
+            entry = Text.assemble((key, style + BOLD), (f" {self._name(gesture)}  ", style))
+            # A line ends with two blanks that may be cut off.
+            if lines[-1].cell_len + entry.cell_len > width + 2:
+                lines.append(Text(" "))
+            lines[-1].append_text(entry)
+        return lines if touch else [Text() for _ in lines]
 
-    def _note_lines(self, width: int, most: int) -> list[DrawnLine]:
+    def _note_lines(self, width: int, most: int) -> list[Text]:
         """Return what is going on and the latest note, wrapped to `width` and cut after `most` rows."""
         doing = f" {self._doing} " if self._doing else ""
         text, is_bad = self._notes[-1] if self._notes else ("", False)
         wrap = textwrap.TextWrapper(width, max_lines=most, placeholder=" …", break_on_hyphens=False)
         rows = wrap.wrap(" " * len(doing) + text) or [""]
-        rows[0] = rows[0][len(doing) :]
         style = self._palette.bad if is_bad else self._palette.faint
-        lines: list[DrawnLine] = [[Segment(f" {row}", style)] for row in rows]
-        lines[0].insert(0, Segment(doing, self._palette.ink))
+        lines = [Text(f" {row}", style) for row in rows]
+        lines[0] = Text.assemble((doing, self._palette.ink), (f" {rows[0][len(doing) :]}", style))
         return lines
 
     def _name_labels(self, labels: Iterable[str]) -> None:
@@ -443,6 +405,15 @@ class View:
 
     def _name(self, gesture: str) -> str:
         return name_of(self._words, gesture)
+
+
+def _fitted(lines: Sequence[Text], width: int, height: int) -> list[Text]:
+    """Return lines cropped or padded to a width and a height."""
+    fitted = [line.copy() for line in lines[:height]]
+    fitted += [Text() for _ in range(height - len(fitted))]
+    for line in fitted:
+        line.truncate(width, overflow="crop", pad=True)
+    return fitted
 
 
 class ViewLog(logging.Handler):

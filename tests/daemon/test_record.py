@@ -19,7 +19,7 @@ from touchd.daemon.record.capture import Capture, PadReader, complaints
 from touchd.daemon.record.dialogue import Dialogue, Terms
 from touchd.daemon.record.session import Session
 from touchd.daemon.record.who import Setting
-from touchd.daemon.view.width import text_width
+from touchd.daemon.view.terminal import text_width
 from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.frame import Frame
 from touchd.drivers.recording import Recording, RecordingError, prepare, read_recordings, write_recordings

@@ -27,7 +27,7 @@ from touchd.daemon.app.config import Language
 from touchd.daemon.path.events import Prediction, RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
 from touchd.daemon.robot.words import name_of, vocabulary
 from touchd.daemon.sinks.labels import Labeller, keys_of
-from touchd.daemon.view.big_words import big
+from touchd.daemon.view.elements import big
 from touchd.daemon.view.view import View
 from touchd.drivers.frame import DEFAULT_PAD, Frame
 
@@ -160,11 +160,11 @@ def test_old_bars_disappear_after_a_touch() -> None:
 
 
 def test_a_word_is_large_where_it_fits_and_never_cut() -> None:
-    assert len(big("rub", 40, False)) == 3
-    assert len(big("rub", 40, True)) == 5
-    assert len({len(line) for line in big("Tätscheln", 60, False)}) == 1
-    assert big("scratch", 20, False) == ["scratch"]
-    assert big("pat🤚", 60, False) == ["pat🤚"]
+    assert [len(line) for line in big("rub", 40)] == [22, 22, 22]
+    assert [len(line) for line in big("rub", 20)] == [11, 11, 11]
+    assert len({len(line) for line in big("Tätscheln", 60)}) == 1
+    assert big("scratch", 20) == ["scratch"]
+    assert big("pat🤚", 60) == ["pat🤚"]
 
 
 @pytest.mark.parametrize("gestures", [["hug", "pat"], [f"a-gesture-with-a-long-name-{i}" for i in range(12)]])
