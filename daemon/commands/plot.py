@@ -42,8 +42,14 @@ def main(arguments: Sequence[str]) -> int:
     # A notebook sets one that is not installed here.
     os.environ["MPLBACKEND"] = "agg"
     # Imported here because they need matplotlib.
-    from touchd.daemon.plot import journal, recording
-    from touchd.daemon.plot.plot import PlotError, check_format, save
+    from touchd.daemon.plot.plot import (
+        PlotError,
+        check_format,
+        draw_recording,
+        draw_touches,
+        save,
+        trace,
+    )
 
     path: Path = options.out or picture_of(options.files[0])
     check_format(path)
@@ -54,10 +60,10 @@ def main(arguments: Sequence[str]) -> int:
         model = load_model(settings)
         stream = chosen_stream(options)
         with Console(stderr=True).status("drawing"):
-            traced = recording.trace(stream, settings, model)
-            figure = recording.draw(traced, f"{names}, answers of {model.name}")
+            traced = trace(stream, settings, model)
+            figure = draw_recording(traced, f"{names}, answers of {model.name}")
     elif len(options.files) == 1:
-        figure = journal.draw(read_journal(options.files[0])[-options.touches :], names)
+        figure = draw_touches(read_journal(options.files[0])[-options.touches :], names)
     else:
         raise PlotError(f"{names}: give one journal, or recordings only")
     save(figure, path)

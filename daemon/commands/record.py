@@ -9,8 +9,7 @@ from rich.console import Console
 from touchd.daemon.commands.one_pad import add_settings, settings_of
 from touchd.daemon.record.capture import PadReader
 from touchd.daemon.record.dialogue import GESTURES, HOW, Dialogue, Terms
-from touchd.daemon.record.session import Session
-from touchd.daemon.record.who import ask_setting, name
+from touchd.daemon.record.session import Session, ask_setting, name
 from touchd.daemon.view.terminal import Stopped, text_width
 from touchd.drivers.numbers import within
 from touchd.drivers.recording import prepare

@@ -18,8 +18,7 @@ from touchd.daemon.commands.record import INCOMPLETE, LONGEST_S, SHORTEST_S
 from touchd.daemon.commands.settings import SERVICE_FOLDER
 from touchd.daemon.record.capture import PadReader
 from touchd.daemon.record.dialogue import GESTURES, HOW, HOW_ONCE, Dialogue, Terms
-from touchd.daemon.record.session import Session
-from touchd.daemon.record.who import Setting, ask_name, name
+from touchd.daemon.record.session import Session, Setting, ask_name, name
 from touchd.daemon.robot.words import name_of, words_of
 from touchd.daemon.view.terminal import Stopped, ask, text_width
 from touchd.drivers.errors import TouchdError, os_errors_as

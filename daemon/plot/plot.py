@@ -1,15 +1,26 @@
-"""Shared by pictures of recordings and journals: colours, marks, lanes for answers, saving."""
+"""Pictures of recordings, and of the touches of a journal, with their answers."""
 
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
+from numpy.typing import NDArray
 
-from touchd.daemon.path.events import UNCERTAIN, Prediction
+from touchd.daemon.app.config import Settings
+from touchd.daemon.path.events import UNCERTAIN, Event, Prediction, TouchBegan
+from touchd.daemon.path.pipeline import Pipeline
+from touchd.daemon.playback.stream import play
+from touchd.daemon.sinks.touches import ReportedTouch, gather
 from touchd.drivers.errors import TouchdError, os_errors_as
-from touchd.drivers.frame import NO_TOUCH, OTHER
+from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH, OTHER
+from touchd.drivers.recording import UNLABELLED, Span, Stream
+from touchd.model.classifier import Classifier
 
 WIDTH_INCHES = 12.0
 DOTS_PER_INCH = 130
@@ -34,6 +45,26 @@ COLOURS: Mapping[str, str] = {
 MARK: Mapping[str, Any] = {"marker": "o", "markersize": 6, "markeredgewidth": 1.4, "zorder": 3}
 BESIDE: Mapping[str, Any] = {"xytext": (6, 0), "textcoords": "offset points", "va": "center", "fontsize": 7.5}
 OTHER_COLOURS = ("#6a4c93", "#8c564b", "#b5a800", "#3d405b")
+# Of a journal.
+TOUCH_INCHES, LIST_TITLE_INCHES = 0.3, 1.3
+# A touch's answers in the order in which they came; those between the third and the last are not shown.
+COLUMNS = ("first", "second", "third", "last")
+# Of a recording.
+ROW_S = 24.0
+LONGEST_S = 300.0
+LEGEND = "filled: sent to the robot    red: another gesture was performed    grey: a touch was detected"
+ROW_INCHES, PADS_INCHES, TITLE_INCHES = 2.5, 2.0, 0.5
+LABEL: Mapping[str, Any] = {
+    "ha": "center",
+    "va": "bottom",
+    "fontsize": 8.5,
+    "fontweight": "bold",
+    **NO_FORMULA,
+}
+LEAST_COLUMNS, MOST_COLUMNS = 4, 7
+LIGHTEST_FRAMES = 9
+# Lowest upper end of the scale, so that noise does not look like a touch.
+LEAST_SCALE_COUNTS = 100.0
 
 
 class PlotError(TouchdError):
@@ -106,3 +137,250 @@ def draw_lanes(axes: Axes) -> None:
     axes.set_axisbelow(True)
     bare(axes)
     axes.tick_params(length=0)
+
+
+def draw_touches(touches: Sequence[ReportedTouch], title: str) -> Figure:
+    """Draw touches, the oldest at the top; raises PlotError if there are none."""
+    if not touches:
+        raise PlotError(f"{title}: holds no touch yet")
+    gestures = sorted({answer.gesture for touch in touches for answer in touch.predictions})
+    height = LIST_TITLE_INCHES + TOUCH_INCHES * len(touches)
+    figure = new_figure(height, f"{title}: the last touches ({len(touches)})")
+    answers, lengths = figure.subplots(1, 2, sharey=True, width_ratios=[2.6, 1.0])
+    _answers_in_columns(answers, touches, gestures)
+    _draw_lengths(lengths, touches, gestures)
+    # The oldest at the top; both plots share this axis.
+    answers.set_ylim(len(touches) - 0.4, -0.6)
+    return figure
+
+
+def _answers_in_columns(axes: Axes, touches: Sequence[ReportedTouch], gestures: Sequence[str]) -> None:
+    for row, touch in enumerate(touches):
+        shown = touch.predictions[: len(COLUMNS) - 1] + touch.predictions[len(COLUMNS) - 1 :][-1:]
+        for column, answer in enumerate(shown):
+            when = f", {answer.elapsed_s:.3g} s"
+            draw_answer(axes, column, row, answer, gestures, when=when)
+    axes.set_xlim(-0.15, len(COLUMNS) - 0.2)
+    axes.set_xticks(range(len(COLUMNS)), COLUMNS, ha="left")
+    all_began = [touch.began for touch in touches]
+    several = len({began.pad for began in all_began}) > 1
+    names = [
+        f"{began.time[:10]} {began.time[11:19]}   {f'{began.pad}, ' if several else ''}touch {began.touch}"
+        for began in all_began
+    ]
+    axes.set_yticks(range(len(touches)), names)
+    axes.set_xlabel("answers; filled: sent to the robot", fontsize=8, color=QUIET_INK)
+    draw_lanes(axes)
+
+
+def _draw_lengths(axes: Axes, touches: Sequence[ReportedTouch], gestures: Sequence[str]) -> None:
+    for row, touch in enumerate(touches):
+        told, colour = "not over", PALE
+        length_s = max((answer.elapsed_s for answer in touch.predictions), default=0.0)
+        if touch.ended is not None:
+            told, length_s = touch.ended.gesture, touch.ended.frames / FRAME_RATE_HZ
+            colour = colour_of(told, gestures)
+        axes.barh(row, length_s, height=0.55, color=colour, alpha=0.6)
+        axes.annotate(
+            told, (0, row), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8, color=INK
+        )
+    axes.set_xlabel("answer at the end, and length in seconds", fontsize=8, color=QUIET_INK)
+    bare(axes, "left", "bottom")
+    axes.tick_params(axis="y", length=0, labelleft=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """A stream and what the pipeline made of it.
+
+    time_s: (T,) since the first recorded frame; negative in quiet that was added before it. rise: (T, 8, 8)
+    counts above rest. is_rest_known: False where the lightest moment of a recording had to do for its rest.
+    """
+
+    stream: Stream
+    time_s: NDArray[np.float64]
+    rise: NDArray[np.float64]
+    is_rest_known: bool
+    touches: list[ReportedTouch]
+    starts_s: list[float]
+
+    def ends_s(self, number: int) -> float:
+        ended = self.touches[number].ended
+        return self.starts_s[number] + (ended.frames if ended else 0) / FRAME_RATE_HZ
+
+    def truth(self, number: int) -> str:
+        """Return the recorded gesture that a touch overlaps most."""
+        start_s, end_s = self.starts_s[number], self.ends_s(number)
+
+        def overlap_s(span: Span) -> float:
+            first_s, last_s = self.time_s[[span.start, span.stop - 1]].tolist()
+            return float(min(end_s, last_s) - max(start_s, first_s))
+
+        return max(self.stream.spans, key=overlap_s).gesture
+
+
+def trace(stream: Stream, settings: Settings, model: Classifier) -> Trace:
+    """Send a stream through the pipeline; raises PlotError when it is too long for one picture."""
+    steps_ms = np.diff(stream.sensor_ms)
+    # The clock jumps back when the pad restarts; the time axis must not.
+    restarts = np.flatnonzero(steps_ms <= 0) + 1
+    steps_ms = np.where(steps_ms > 0, steps_ms, 1000 / FRAME_RATE_HZ)
+    time_s = np.concatenate([[0.0], np.cumsum(steps_ms)]) / 1000
+    time_s -= time_s[_recorded(stream)[0]]
+    if (length_s := time_s[_recorded(stream)[1] - 1]) > LONGEST_S:
+        raise PlotError(
+            f"{length_s:.0f} s do not fit in one picture ({LONGEST_S:g} s at most); select with "
+            "--participant, --substrate, --cover or --gesture"
+        )
+    events: list[Event] = []
+    starts_s: list[float] = []
+    frames: list[int] = []
+
+    def emit(event: Event) -> None:
+        events.append(event)
+        if isinstance(event, TouchBegan):
+            # A touch begins a little before it is detected.
+            latest = frames[-1]
+            starts_s.append(float(time_s[latest]) - (int(stream.sensor_ms[latest]) - event.sensor_ms) / 1000)
+
+    play(stream, Pipeline(settings.pipeline, model, emit), frames.append)
+    rise, is_rest_known = _rise(stream, restarts)
+    return Trace(stream, time_s, rise, is_rest_known, gather(events), starts_s)
+
+
+def _recorded(stream: Stream) -> tuple[int, int]:
+    """Return the first frame that is in a recording, and the one after the last."""
+    own = [span for span in stream.spans if not span.is_added]
+    return own[0].start, own[-1].stop
+
+
+def _rise(stream: Stream, restarts: NDArray[np.int64]) -> tuple[NDArray[np.float64], bool]:
+    """Return (T, 8, 8) counts above rest, which may change when the pad restarts, and whether it is known."""
+    is_quiet, is_own = np.zeros((2, len(stream.counts)), dtype=np.bool_)
+    for span in stream.spans:
+        part = slice(span.start, span.stop)
+        # A rest in which no reading changes may have been made from each taxel's lowest reading.
+        is_quiet[part] = span.gesture == NO_TOUCH and np.ptp(stream.counts[part], axis=0).any()
+        is_own[part] = not span.is_added
+    rise = stream.counts.astype(np.float64)
+    is_known = True
+    parts = (np.split(each, restarts) for each in (rise, is_quiet, is_own))
+    for part, quiet, own in zip(*parts, strict=True):
+        part -= np.median(part[quiet], axis=0) if quiet.any() else _lightest(part[own])
+        is_known &= bool(quiet.any())
+    return rise, is_known
+
+
+def _lightest(counts: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the mean of each taxel in the sixth of a second with the least pressure."""
+    frames = min(LIGHTEST_FRAMES, len(counts))
+    loads = np.convolve(counts.sum(axis=(1, 2)), np.ones(frames), "valid")
+    first = int(loads.argmin())
+    lightest: NDArray[np.float64] = counts[first : first + frames].mean(axis=0)
+    return lightest
+
+
+def draw_recording(traced: Trace, title: str) -> Figure:
+    """Draw pressure over time, detected touches, answers, mean pads."""
+    gestures = sorted({span.gesture for span in traced.stream.spans} - {NO_TOUCH})
+    rows = _rows(traced)
+    longest_s = max(end_s - begin_s for begin_s, end_s in rows)
+    columns = min(MOST_COLUMNS, max(LEAST_COLUMNS, len(gestures)))
+    pad_rows = math.ceil(len(gestures) / columns)
+    heights = [ROW_INCHES * len(rows), *([PADS_INCHES * pad_rows] if gestures else [])]
+    figure = new_figure(sum(heights) + TITLE_INCHES, title)
+    parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
+    axes = parts[0].subplots(2 * len(rows), 1, squeeze=False, height_ratios=[1.0, 1.6] * len(rows))[:, 0]
+    for row, (begin_s, end_s) in enumerate(rows):
+        answers, pressure = axes[2 * row : 2 * row + 2]
+        _answers_over_time(answers, traced, gestures, begin_s, end_s)
+        _draw_pressure(pressure, traced, gestures, begin_s, end_s)
+        for part in (answers, pressure):
+            part.set_xlim(begin_s, begin_s + longest_s)
+        pressure.set_xticks([tick for tick in pressure.get_xticks() if begin_s <= tick <= end_s])
+        pressure.spines["bottom"].set_bounds(begin_s, end_s)
+    axes[0].set_title(LEGEND, fontsize=8, color=QUIET_INK, loc="right")
+    axes[-1].set_xlabel("seconds", fontsize=8, color=QUIET_INK)
+    if gestures:
+        _draw_pads(parts[1], traced, gestures, pad_rows, columns)
+    return figure
+
+
+def _rows(traced: Trace) -> list[tuple[float, float]]:
+    """Return start and end of each row in seconds: rows of similar length, split where nothing touches."""
+    end_s = float(traced.time_s[_recorded(traced.stream)[1] - 1])
+    count = max(1, math.ceil(end_s / ROW_S))
+    length_s = end_s / count
+    quiets = [span for span in traced.stream.spans if span.gesture == NO_TOUCH]
+    middles_s = traced.time_s[[(span.start + span.stop) // 2 for span in quiets]]
+    breaks_s = {0.0, end_s}
+    for at_s in (row * length_s for row in range(1, count)):
+        nearby_s = middles_s[np.abs(middles_s - at_s) < length_s / 2]
+        nearest_s = nearby_s[np.argmin(np.abs(nearby_s - at_s))] if len(nearby_s) else at_s
+        breaks_s.add(float(nearest_s))
+    return list(pairwise(sorted(breaks_s)))
+
+
+def _draw_pressure(axes: Axes, traced: Trace, gestures: Sequence[str], begin_s: float, end_s: float) -> None:
+    """Draw the total pressure in the colour of the recorded gesture, and shade detected touches."""
+    first, last = np.searchsorted(traced.time_s, [begin_s, end_s]).tolist()
+    load = traced.rise.sum(axis=(1, 2))
+    highest = max(float(load[first : last + 1].max()), LEAST_SCALE_COUNTS)
+    for number in range(len(traced.touches)):
+        start_s, stop_s = max(begin_s, traced.starts_s[number]), min(end_s, traced.ends_s(number))
+        if start_s < stop_s:
+            axes.axvspan(start_s, stop_s, color=PALE, linewidth=0, zorder=0)
+    for span, after in zip(traced.stream.spans, [*traced.stream.spans[1:], None], strict=True):
+        if span.is_added:
+            continue
+        # Up to the next recording, but not to a frame that nobody recorded.
+        joined = after is not None and not after.is_added
+        part = slice(max(span.start, first), min(span.stop + joined, last + 1))
+        if len(load[part]) == 0:
+            continue
+        colour = colour_of(span.gesture, gestures)
+        axes.fill_between(traced.time_s[part], load[part], color=colour, alpha=0.45, linewidth=0)
+        axes.plot(traced.time_s[part], load[part], color=colour, linewidth=0.9)
+        if span.gesture != NO_TOUCH:
+            middle_s = traced.time_s[part].mean()
+            axes.text(middle_s, 1.04 * highest, span.gesture, color=colour, clip_on=True, **LABEL)
+    axes.set_ylim(min(0.0, float(load[first : last + 1].min())), 1.25 * highest)
+    label = "counts above rest" if traced.is_rest_known else "above lightest moment"
+    axes.set_ylabel(label, fontsize=8, color=QUIET_INK)
+    bare(axes, "left", "bottom")
+
+
+def _answers_over_time(
+    axes: Axes, traced: Trace, gestures: Sequence[str], begin_s: float, end_s: float
+) -> None:
+    """Draw each answer at its time, in the lane of its stage, but none after the end."""
+    last_s = np.nextafter(_rows(traced)[-1][1], 0.0)
+    for number, touch in enumerate(traced.touches):
+        truth = traced.truth(number)
+        for answer in touch.predictions:
+            at_s = min(traced.starts_s[number] + answer.elapsed_s, last_s)
+            if begin_s <= at_s < end_s:
+                is_wrong = truth != UNLABELLED and answer.gesture not in (truth, UNCERTAIN)
+                draw_answer(axes, at_s, -lane_of(answer), answer, gestures, wrong=is_wrong)
+    axes.set_ylim(-len(LANES) + 0.4, 0.6)
+    axes.set_yticks([-lane for lane in range(len(LANES))], LANES)
+    axes.set_xticks([])
+    draw_lanes(axes)
+
+
+def _draw_pads(figure: SubFigure, traced: Trace, gestures: Sequence[str], rows: int, columns: int) -> None:
+    """Draw the mean pad of each gesture, each on its own scale so that light touches are visible."""
+    all_axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axes in all_axes[len(gestures) :]:
+        axes.set_visible(False)
+    for axes, gesture in zip(all_axes, gestures, strict=False):
+        spans = [span for span in traced.stream.spans if span.gesture == gesture]
+        mean = np.concatenate([traced.rise[span.start : span.stop] for span in spans]).mean(axis=0)
+        highest = max(float(mean.max()), 1.0)
+        axes.imshow(mean, cmap="inferno", vmin=0, vmax=highest)
+        colour = colour_of(gesture, gestures)
+        axes.set_title(gesture, fontsize=9, color=colour, fontweight="bold", **NO_FORMULA)
+        axes.set_xlabel(f"mean pad, 0 to {highest:.0f}", fontsize=8, color=QUIET_INK)
+        axes.set_xticks([])
+        axes.set_yticks([])
+        bare(axes)

@@ -11,7 +11,7 @@ import numpy as np
 from touchd.daemon.app.config import Settings
 from touchd.daemon.path.monitor import TaxelFaults
 from touchd.daemon.path.tracker.tracker import Onset, Release, TouchTracker
-from touchd.daemon.record.who import Setting
+from touchd.daemon.record.session import Setting
 from touchd.drivers.frame import CLOCK_MODULUS, MIN_RATE_HZ, NO_TOUCH, Frame, SensorState
 from touchd.drivers.pad.grid import Ring
 from touchd.drivers.pad.pace import clock_ms, pace_of

@@ -22,10 +22,15 @@ from touchd.daemon.commands.one_pad import load_model
 from touchd.daemon.commands.plot import picture_of
 from touchd.daemon.path.events import Event, Prediction, Stage, TouchBegan, TouchEnded, encode
 from touchd.daemon.playback.stream import with_quiet
-from touchd.daemon.plot import journal as plot_journal
-from touchd.daemon.plot import recording as plot_recording
-from touchd.daemon.plot.plot import OTHER_COLOURS, PlotError, colour_of
-from touchd.daemon.plot.recording import Trace, trace
+from touchd.daemon.plot.plot import (
+    OTHER_COLOURS,
+    PlotError,
+    Trace,
+    colour_of,
+    draw_recording,
+    draw_touches,
+    trace,
+)
 from touchd.daemon.sinks.touches import gather, read_journal
 from touchd.drivers.fakes.hand import simulate, write_simulated
 from touchd.drivers.recording import UNLABELLED, Recording, Stream, splice
@@ -84,12 +89,12 @@ def test_time_continues_when_the_pads_clock_restarts() -> None:
 def test_an_answer_is_wrong_only_where_labels_exist(demo: Trace, gesture: str, is_red: bool) -> None:
     spans = demo.stream.spans
     labelled = tuple(span if span.gesture == "notouch" else replace(span, gesture=gesture) for span in spans)
-    figure = plot_recording.draw(replace(demo, stream=replace(demo.stream, spans=labelled)), "a title")
+    figure = draw_recording(replace(demo, stream=replace(demo.stream, spans=labelled)), "a title")
     assert ("#c00000" in {text.get_color() for text in figure.findobj(Text)}) == is_red
 
 
 def test_every_answer_stands_at_its_mark(demo: Trace) -> None:
-    figure = plot_recording.draw(demo, "a title")
+    figure = draw_recording(demo, "a title")
     marks = {
         round(float(np.asarray(line.get_xdata())[0]), 2)
         for part in figure.subfigs
@@ -111,7 +116,7 @@ def test_every_answer_stands_at_its_mark(demo: Trace) -> None:
 
 def test_a_name_like_a_formula_is_drawn_as_it_is(demo: Trace) -> None:
     spans = tuple(replace(span, gesture="$x_{$") for span in demo.stream.spans)
-    figure = plot_recording.draw(replace(demo, stream=replace(demo.stream, spans=spans)), "a $\\title$")
+    figure = draw_recording(replace(demo, stream=replace(demo.stream, spans=spans)), "a $\\title$")
     figure.draw_without_rendering()
     assert {"a $\\title$", "$x_{$"} <= set(words(figure))
 
@@ -192,7 +197,7 @@ def test_a_journal_becomes_touches_without_its_half_line(tmp_path: Path) -> None
 
 
 def test_a_journal_named_like_a_formula_is_drawn(tmp_path: Path) -> None:
-    figure = plot_journal.draw(read_journal(journal(tmp_path / "events.jsonl")), "j$\\frac$.jsonl")
+    figure = draw_touches(read_journal(journal(tmp_path / "events.jsonl")), "j$\\frac$.jsonl")
     figure.draw_without_rendering()
     assert any(text.startswith("j$\\frac$.jsonl") for text in words(figure))
 
@@ -205,7 +210,7 @@ def test_a_journal_becomes_a_picture_with_each_touch_and_answer(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = journal(tmp_path / "events.jsonl")
-    written = words(plot_journal.draw(read_journal(path), "events"))
+    written = words(draw_touches(read_journal(path), "events"))
     assert {"pat 81%, 1 s", "stroke 81%, 1 s", "stroke", "not over"} <= set(written)
     assert "2026-11-20 10:00:01   touch 1" in written
     assert cli.main(["plot", str(path), "-o", str(tmp_path / "a.svg")]) == 0
@@ -223,7 +228,7 @@ def test_a_touchs_answers_stand_in_the_order_of_time() -> None:
     ]
     answers = [msgspec.structs.replace(prediction(1, stage, "pat"), elapsed_s=at) for stage, at in stages]
     began = TouchBegan(touch=1, time=TIME, sensor_ms=1)
-    (axes, _) = plot_journal.draw(gather([began, *answers]), "events").axes
+    (axes, _) = draw_touches(gather([began, *answers]), "events").axes
     drawn = [(text.xy[0], text.get_text()) for text in axes.texts if isinstance(text, Annotation)]
     assert drawn == [(column, f"pat 81%, {at:g} s") for column, at in enumerate((0.35, 1.0, 1.5, 4.0))]
     assert [tick.get_text() for tick in axes.get_xticklabels()] == ["first", "second", "third", "last"]
@@ -239,7 +244,7 @@ def test_a_notebooks_backend_does_not_matter(tmp_path: Path, backend: str) -> No
 
 def test_touches_of_several_pads_are_named_by_pad() -> None:
     began = [TouchBegan(touch=3, time=TIME, sensor_ms=1, pad=pad) for pad in ("arm", "head")]
-    written = words(plot_journal.draw(gather(began), "events"))
+    written = words(draw_touches(gather(began), "events"))
     assert {f"2026-11-20 10:00:01   {pad}, touch 3" for pad in ("arm", "head")} <= set(written)
 
 
@@ -284,7 +289,7 @@ def test_a_recording_without_rest_returns_to_zero_between_strokes() -> None:
     load = alone.rise.sum(axis=(1, 2))[first.start : last.stop]
     assert abs(np.quantile(load, 0.1)) < 15
     assert not alone.is_rest_known
-    figure = plot_recording.draw(alone, "a title")
+    figure = draw_recording(alone, "a title")
     assert "above lightest moment" in words(figure)
     begin_s, end_s = (
         f(float(np.asarray(line.get_xdata())[end]) for axes in figure.subfigs[0].axes for line in axes.lines)
@@ -309,7 +314,7 @@ def test_several_recordings_without_rest_return_to_zero_too() -> None:
     for span in (span for span in beside.stream.spans if not span.is_added):
         load = beside.rise.sum(axis=(1, 2))[span.start : span.stop]
         assert abs(np.quantile(load, 0.1)) < 15
-    figure = plot_recording.draw(beside, "a title")
+    figure = draw_recording(beside, "a title")
     drawn = [np.asarray(line.get_xdata()) for axes in figure.subfigs[0].axes for line in axes.lines]
     # Nothing is drawn of the quiet that is played between them.
     assert sum(len(line) for line in drawn if len(line) > 50) == sum(len(each.counts) for each in strokes)

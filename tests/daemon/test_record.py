@@ -17,8 +17,7 @@ from touchd.daemon.app.config import Settings
 from touchd.daemon.record import dialogue
 from touchd.daemon.record.capture import Capture, PadReader, complaints
 from touchd.daemon.record.dialogue import Dialogue, Terms
-from touchd.daemon.record.session import Session
-from touchd.daemon.record.who import Setting
+from touchd.daemon.record.session import Session, Setting
 from touchd.daemon.view.terminal import text_width
 from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.frame import Frame

@@ -19,8 +19,7 @@ from touchd.daemon.app import cli
 from touchd.daemon.app.config import SensorSettings, Settings
 from touchd.daemon.record.capture import PadLost, PadReader
 from touchd.daemon.record.dialogue import Dialogue, Terms
-from touchd.daemon.record.session import Session
-from touchd.daemon.record.who import Setting
+from touchd.daemon.record.session import Session, Setting
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.frame import Counts
