@@ -26,10 +26,10 @@ from touchd.daemon.robot.words import name_of, words_of
 from touchd.daemon.view.describe import describe
 from touchd.daemon.view.view import View
 from touchd.drivers.fakes.fake_port import FakePort, LivePort
-from touchd.drivers.fakes.hand import DEMO_SEED, SimulatedHand, demo_gestures
+from touchd.drivers.fakes.hand import PLAYED, PlayedHand, SimulatedPad
 from touchd.drivers.fakes.loopback_robot import LoopbackRobot
 from touchd.drivers.fakes.services import Call
-from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH, OTHER, Counts
+from touchd.drivers.frame import FRAME_RATE_HZ, OTHER, Counts
 from touchd.drivers.installed import program_name
 from touchd.drivers.recording import Stream, read_recordings, splice
 from touchd.drivers.robot.session import RobotSettings
@@ -41,6 +41,8 @@ if typing.TYPE_CHECKING:
 # The recording lasts 37 s; the demo ends within a minute even if something fails.
 LONGEST_S = 50.0
 SPEECH_S = 0.8
+# From touch to touch of the hand on the page.
+EVERY_S = 5.6
 PACE = 1.0
 # Most answers kept for the summary at the end.
 KEPT = 1000
@@ -146,11 +148,11 @@ def _be_touched(options: argparse.Namespace, settings: Settings) -> int:
     """Run until Ctrl-C with a page on which viewers touch the simulated pad; returns 0."""
     # Imported only with --live, since these modules need its library.
     from touchd.daemon.live.memory import Scene
-    from touchd.daemon.playback.touched import TouchedPad, TouchPage
+    from touchd.daemon.playback.touched import TouchPage
 
     live = parse_address(options.live, None)
     with_robot = msgspec.structs.replace(settings, robot=RobotSettings(url="tcp://localhost:9559"))
-    rng = RandomState(DEMO_SEED)
+    rng = RandomState()
     with ExitStack() as closing:
         listening = closing.enter_context(listen(live))
         urls = urls_of(live, listening.getsockname()[1])
@@ -165,11 +167,10 @@ def _be_touched(options: argparse.Namespace, settings: Settings) -> int:
         show = ShowAndPage(seen, page)
 
         def begins(gesture: str) -> None:
-            if gesture != NO_TOUCH:
-                show.doing(f"the simulated hand: {name_of(words_of(settings), gesture)}")
+            show.doing(f"the simulated hand: {name_of(words_of(settings), gesture)}")
 
-        hand = SimulatedHand(demo_gestures(rng), begins)
-        pad = TouchedPad(rng, page.touching, hand, show.show_frame)
+        hand = PlayedHand(tuple(PLAYED), EVERY_S, rng, begins)
+        pad = SimulatedPad(rng, hand, page.touching, show.show_frame)
         port = closing.enter_context(LivePort(pad.scan, encoder_for(settings.sensor)))
         show.note(f"live page: {' '.join(urls)}   Ctrl-C ends")
         # Live predictions are not events: get them from the daemon's own page, whose address is in its log.

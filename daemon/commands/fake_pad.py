@@ -14,11 +14,9 @@ from touchd.daemon.commands.one_pad import add_settings, settings_of
 from touchd.daemon.commands.settings import parsed
 from touchd.daemon.live.address import listen, parse_address, urls_of
 from touchd.daemon.playback.rig import encoder_for
-from touchd.drivers.fakes.fabric import Fabric
 from touchd.drivers.fakes.fake_port import LivePort
-from touchd.drivers.fakes.hand import SimulatedHand
-from touchd.drivers.fakes.played import PLAYED, repeated
-from touchd.drivers.frame import COLUMNS, NO_TOUCH, ROWS, Counts
+from touchd.drivers.fakes.hand import PLAYED, PlayedHand, SimulatedPad
+from touchd.drivers.frame import NO_TOUCH
 from touchd.drivers.installed import program_name
 from touchd.drivers.numbers import within
 
@@ -59,28 +57,24 @@ def main(arguments: Sequence[str]) -> int:
     """Be a pad until Ctrl-C or SIGTERM; returns 0."""
     options = parsed(parser(), arguments)
     rng = RandomState()
-    hand = SimulatedHand(repeated(options.gestures, options.every, rng))
+    hand = PlayedHand(options.gestures, options.every, rng)
     found = settings_of(options)
     encode = encoder_for(found.settings.sensor)
-    fabric = Fabric(rng)
-
-    def scan(sensor_ms: int) -> Counts:
-        return fabric.read(hand.frame(is_wanted=True).reshape(ROWS, COLUMNS))
-
+    pad = SimulatedPad(rng, hand)
     with ExitStack() as closing:
         if options.live is not None:
             # Imported only with --live, since these modules need its library.
             from touchd.daemon.live.memory import Scene
-            from touchd.daemon.playback.touched import TouchedPad, TouchPage
+            from touchd.daemon.playback.touched import TouchPage
 
             live = parse_address(options.live, None)
             listening = closing.enter_context(listen(live))
             page = TouchPage(listening, live, Scene(Settings(), None))
             closing.callback(page.stop)
             page.start()
-            scan = TouchedPad(rng, page.touching, hand, page.show_frame).scan
+            pad = SimulatedPad(rng, hand, page.touching, page.show_frame)
             sys.stdout.write(f"live page: {' '.join(urls_of(live, listening.getsockname()[1]))}\n")
-        port = closing.enter_context(LivePort(scan, encode))
+        port = closing.enter_context(LivePort(pad.scan, encode))
         file = f" -c {shlex.quote(str(found.file))}" if found.file else ""
         sys.stdout.write(f"pad: {port.path}\nread it with: {program_name()} run{file} --port {port.path}\n")
         sys.stdout.flush()

@@ -1,17 +1,14 @@
-"""A simulated pad that viewers of the live page touch, and a simulated hand when nobody does."""
+"""The page of a simulated pad that its viewers touch."""
 
 import json
 import re
 import socket
 import threading
 import time
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
 import msgspec
-import numpy as np
-from numpy.random import RandomState
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
@@ -20,48 +17,12 @@ from touchd.daemon.live.memory import Scene
 from touchd.daemon.live.server import LiveServer
 from touchd.daemon.live.touch import Touching
 from touchd.daemon.path.events import Event, LivePrediction
-from touchd.drivers.fakes.fabric import Fabric
-from touchd.drivers.fakes.hand import SimulatedHand
-from touchd.drivers.fakes.pointers import PressingHands
-from touchd.drivers.frame import COLUMNS, DEFAULT_PAD, ROWS, Counts, Frame
+from touchd.drivers.frame import DEFAULT_PAD, Counts, Frame
 
-# The simulated hand resumes when no pointer has been at the pad for this long.
-ALONE_S = 20.0
 RETRY_S = 0.2
 STOP_S = 1.0
 # The line that a daemon with a page logs.
 SERVED = re.compile(r"live page: http://(\S+)/")
-
-
-class TouchedPad:
-    """A simulated pad under all viewers' pointers, or under the simulated hand, if there is one.
-
-    on_frame: receives each frame's counts and clock.
-    """
-
-    def __init__(
-        self,
-        rng: RandomState,
-        touching: Touching | None,
-        hand: SimulatedHand | None,
-        on_frame: Callable[[Counts, int], None] = lambda counts, sensor_ms: None,
-    ) -> None:
-        self._fabric = Fabric(rng)
-        self._hands = PressingHands(rng)
-        self._touching = touching
-        self._hand = hand
-        self._on_frame = on_frame
-
-    def scan(self, sensor_ms: int) -> Counts:
-        """Return the next frame of counts."""
-        pointers = self._touching.pointers() if self._touching else {}
-        pressed = self._hands.frame(pointers)
-        if self._hand is not None:
-            near_s = self._touching.near_s if self._touching else -np.inf
-            pressed = pressed + self._hand.frame(is_wanted=time.monotonic() - near_s > ALONE_S)
-        counts = self._fabric.read(pressed.reshape(ROWS, COLUMNS))
-        self._on_frame(counts, sensor_ms)
-        return counts
 
 
 class TouchPage:

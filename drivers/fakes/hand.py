@@ -1,263 +1,181 @@
-"""A simulated hand on the pad: the seven gestures, for the demo's recording, tests and studies.
+"""A simulated pad, and the hand of `touchd demo` and `touchd fake-pad`, which does one gesture after another.
 
-A hand is a few round patches of pressure, each with a path and a force over time. The pad adds what HAART's
-recordings show: a rest level for each row and taxel, noise, taxels of unequal sensitivity, and a leak along
-the rows. Forces, sizes and paces are set to match load, peak, area, pace and speed of each gesture in HAART's
-training recordings on the bare pad; no network's answers were used.
+The hand is a pointer like those of a page's viewers, and stays away while one of these is at the pad.
 """
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import NamedTuple
+import math
+import time
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from typing import NamedTuple, Protocol, TypeAlias
 
-import numpy as np
 from numpy.random import RandomState
-from numpy.typing import NDArray
 
 from touchd.drivers.fakes.fabric import Fabric
-from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
-from touchd.drivers.recording import Recording, ideal_clock_ms, write_recordings
+from touchd.drivers.fakes.pointers import Pointer, PressingHands, Size
+from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS, Counts
 
-Series = NDArray[np.float64]
+# Longest touch of the hand, and the shortest pause, which ends a touch.
+LONGEST_TOUCH_S, SHORTEST_PAUSE_S = 3.8, 1.5
+# The hand resumes when no pointer has been at the pad for this long.
+ALONE_S = 20.0
+# People move up and down the pad: in 313 of 380 recorded strokes and 253 of 260 seconds of rubbing. Deviation
+# from that, in radians.
+ASLANT = 0.35
+MIDDLE = (ROWS - 1) / 2
 
-EDGE_S = 0.08
-FINGER_WIDTH = 0.9
-
-# Share of the pressure left one frame after the hand has gone.
-LIFT_SHARE = 0.5
-DEMO_SEED = 3
-DEMO_SCRIPT = (
-    ("notouch", 2.5),
-    *(
-        step
-        for gesture in ("pat", "stroke", "rub", "scratch", "tickle", "constant")
-        for step in ((gesture, 3.8), ("notouch", 1.8))
-    ),
-)
+# Where the hand is, in taxels, at a time in seconds; None: off the pad.
+Path: TypeAlias = Callable[[float], tuple[float, float] | None]
 
 
-@dataclass(frozen=True, eq=False)
-class Patch:
-    """One round area of contact over T frames, in the hand's own directions.
+class Gesture(NamedTuple):
+    """A gesture, with what touches and its paths, each a different one."""
 
-    along, across: (T,) centre in taxels relative to the hand's place, along the fingers and across them.
-    radius: standard deviation in taxels. force: (T,) counts at the centre.
-    """
-
-    along: Series
-    across: Series
-    radius: float
-    force: Series
+    size: Size
+    path: Callable[[RandomState], Path]
 
 
-def wander(rng: RandomState, time_s: Series, fastest_hz: float) -> Series:
-    """Return smooth noise (T,) of unit deviation with nothing faster than `fastest_hz`."""
-    waves = 6
-    hz = fastest_hz * rng.uniform(0.2, 1.0, waves)
-    phases = rng.uniform(0.0, 2.0 * np.pi, waves)
-    noise: Series = np.sqrt(2.0 / waves) * np.sin(2.0 * np.pi * np.outer(time_s, hz) + phases).sum(axis=1)
-    return noise
+def middle(rng: RandomState) -> tuple[float, float]:
+    """Return a place near the middle of the pad."""
+    row, column = rng.normal(MIDDLE, 0.5, 2)
+    return float(row), float(column)
 
 
-def cycles(rng: RandomState, time_s: Series, pace_hz: float) -> Series:
-    """Return the number of movements up to each time (T,), at a person's own and slightly uneven pace."""
-    pace = pace_hz * rng.lognormal(0.0, 0.1) * (1.0 + 0.06 * wander(rng, time_s, 0.8))
-    return np.cumsum(pace) / FRAME_RATE_HZ
+def up_or_down(rng: RandomState) -> float:
+    """Return a heading, in radians."""
+    return float(rng.choice([-0.5, 0.5]) * math.pi + rng.normal(0.0, ASLANT))
 
 
-def fingers(count: int) -> list[float]:
-    """Return the places of a hand's fingers across it, in taxels."""
-    return [FINGER_WIDTH * (finger - (count - 1) / 2) for finger in range(count)]
+def constant(rng: RandomState) -> Path:
+    """Lie still."""
+    place = middle(rng)
+    return lambda time_s: place
 
 
-class Part(NamedTuple):
-    """A part of a hand: its place along and across it and its radius, in taxels; its share of the force."""
-
-    along: float
-    across: float
-    radius: float
-    share: float
+def pat(rng: RandomState) -> Path:
+    """Pat in one place, about three times a second."""
+    place, down_s, every_s = middle(rng), rng.uniform(0.08, 0.2), rng.uniform(0.28, 0.4)
+    return lambda time_s: place if time_s % every_s < down_s else None
 
 
-# Palm and four fingers.
-FLAT_HAND = (Part(-1.2, 0.0, 2.2, 0.7), *(Part(1.2, place, 1.1, 0.6) for place in fingers(4)))
+def stroke(rng: RandomState) -> Path:
+    """Stroke about once a second, over half of the pad or more, always the same way."""
+    (row, column), heading = middle(rng), up_or_down(rng)
+    down_s, every_s, length = rng.uniform(0.4, 0.7), rng.uniform(0.85, 1.2), rng.uniform(4.0, 6.5)
+
+    def path(time_s: float) -> tuple[float, float] | None:
+        part = time_s % every_s / down_s
+        if part >= 1.0:
+            return None
+        # Slower at the ends, faster in the middle, moving throughout.
+        along = length * (part - 0.5 - 0.25 * math.sin(2.0 * math.pi * part) / math.pi)
+        return row + along * math.sin(heading), column + along * math.cos(heading)
+
+    return path
 
 
-def flat_hand(
-    rng: RandomState, time_s: Series, along: Series, across: Series, force: Series, friction: float
-) -> list[Patch]:
-    """Return palm and four fingers that share `force`; each grips and slips on its own."""
-    parts = [
-        Patch(along + part.along, across + part.across, part.radius, part.share * force) for part in FLAT_HAND
-    ]
-    return [
-        replace(
-            part,
-            along=part.along + rng.normal(0.0, 0.2),
-            force=rng.uniform(0.5, 1.5) * part.force * (1.0 + friction * wander(rng, time_s, 12.0)),
-        )
-        for part in parts
-    ]
+def to_and_fro(least_hz: float, most_hz: float, least: float, most: float) -> Callable[[RandomState], Path]:
+    """Return back-and-forth paths; pace in Hz and reach in taxels are drawn from these ranges."""
+
+    def make(rng: RandomState) -> Path:
+        (row, column), heading = middle(rng), up_or_down(rng)
+        pace_hz, reach = rng.uniform(least_hz, most_hz), rng.uniform(least, most)
+
+        def path(time_s: float) -> tuple[float, float]:
+            along = reach * math.cos(2.0 * math.pi * pace_hz * time_s)
+            return row + along * math.sin(heading), column + along * math.cos(heading)
+
+        return path
+
+    return make
 
 
-def constant(rng: RandomState, time_s: Series) -> list[Patch]:
-    """A flat hand that lies still, with a slow drift and a little tremor."""
-    still = np.zeros_like(time_s)
-    return flat_hand(rng, time_s, still, still, 30.0 * (1.0 + 0.05 * wander(rng, time_s, 0.5)), 0.015)
-
-
-def pat(rng: RandomState, time_s: Series) -> list[Patch]:
-    """A flat hand that taps at 3 to 4 Hz, down for a tenth of a second, and lifts off in between."""
-    tap = np.maximum(0.0, np.sin(2.0 * np.pi * cycles(rng, time_s, 3.5)) - 0.3) / 0.7
-    force = 11.0 * tap * (1.0 + 0.3 * wander(rng, time_s, 1.5))
-    along, across = (0.4 * wander(rng, time_s, 1.7) for _ in range(2))
-    return flat_hand(rng, time_s, along, across, force, 0.15)
-
-
-def stroke(rng: RandomState, time_s: Series) -> list[Patch]:
-    """A flat hand drawn over the pad one way, lifted and brought back, about once a second."""
-    part = np.minimum(1.0, cycles(rng, time_s, 1.0) % 1.0 / 0.65)
-    force = 7.0 * np.sin(np.pi * part) ** 0.8 * (part < 1.0)
-    across = 0.2 * wander(rng, time_s, 1.0)
-    return flat_hand(rng, time_s, 5.0 * (part - 0.5), across, force, 0.5)
-
-
-def rub(rng: RandomState, time_s: Series) -> list[Patch]:
-    """A flat hand that moves to and fro on the pad and presses more one way than the other."""
-    swing = 2.0 * np.pi * cycles(rng, time_s, 1.4)
-    force = 12.0 * (0.8 + 0.2 * np.sin(swing)) * (1.0 + 0.15 * wander(rng, time_s, 6.0))
-    across = 0.4 * wander(rng, time_s, 1.0)
-    return flat_hand(rng, time_s, 2.4 * np.cos(swing), across, force, 0.15)
-
-
-def scratch(rng: RandomState, time_s: Series) -> list[Patch]:
-    """Fingertips side by side that dig in and pull together, at about 3 Hz."""
-    pull = 2.0 * np.pi * cycles(rng, time_s, 3.1)
-    along = 0.6 * np.cos(pull) + 0.5 * wander(rng, time_s, 0.7)
-    force = (0.3 + 0.7 * np.maximum(0.0, np.sin(pull))) * (1.0 + 0.25 * wander(rng, time_s, 6.0))
-    tips = [
-        Patch(along + rng.normal(0.0, 0.3), place + 0.0 * along, 0.5, rng.uniform(20.0, 150.0) * force)
-        for place in fingers(3)
-    ]
-    return [*tips, Patch(along - 1.0, 0.0 * along, 1.8, 5.0 * force)]
-
-
-def tickle(rng: RandomState, time_s: Series) -> list[Patch]:
-    """Fingertips that flutter lightly, out of step, and wander over the pad."""
-    along, across = (0.5 * wander(rng, time_s, 1.0) for _ in range(2))
-    tips: list[Patch] = []
-    for place in fingers(4):
-        flutter = 2.0 * np.pi * cycles(rng, time_s, 3.8)
-        force = np.maximum(
-            0.0, np.sin(flutter + rng.uniform(-3.0, 3.0)) + 0.9 * wander(rng, time_s, 14.0) - 0.6
-        )
-        tips.append(Patch(along + 0.4 * np.cos(flutter), across + 1.2 * place, 0.5, 24.0 * force))
-    return [*tips, Patch(along, across, 2.0, 2.0 * (1.0 + 0.5 * wander(rng, time_s, 10.0)))]
-
-
-def notouch(rng: RandomState, time_s: Series) -> list[Patch]:
-    """Nothing on the pad."""
-    return []
-
-
-GESTURES: Mapping[str, Callable[[RandomState, Series], list[Patch]]] = {
-    gesture.__name__: gesture for gesture in (constant, notouch, pat, rub, scratch, stroke, tickle)
+# With the paces and ways of HAART's recordings. No hand here tickles as people do, so none is played.
+PLAYED: Mapping[str, Gesture] = {
+    "constant": Gesture("hand", constant),
+    "pat": Gesture("hand", pat),
+    "rub": Gesture("hand", to_and_fro(1.2, 2.2, 0.7, 1.9)),
+    "scratch": Gesture("fingertips", to_and_fro(2.5, 4.0, 0.4, 0.9)),
+    "stroke": Gesture("hand", stroke),
 }
 
 
-def pressure(gesture: str, frames: int, rng: RandomState, cells: tuple[int, int] = (ROWS, COLUMNS)) -> Series:
-    """Return (frames, rows, columns) counts of pressure: from rest, through the gesture, to a release.
+class Pointers(Protocol):
+    """The pointers of people. near_s: when one was last at the pad, pressing or about to."""
 
-    cells: rows and columns of a pad of the usual size. Places and sizes are in taxels of the 8x8 pad.
-    """
-    time_s = np.arange(frames) / FRAME_RATE_HZ
-    # Soft hand on soft pad: force grows with the square of the depth.
-    edge = (np.minimum(time_s, time_s[::-1]) / EDGE_S).clip(max=1.0) ** 2
-    strength = edge * rng.lognormal(0.0, 0.25)
-    heading = rng.uniform(0.0, 2.0 * np.pi)
-    row, column = 3.5 + rng.normal(0.0, 0.5, 2)
-    rows, columns = (
-        (np.arange(n) + 0.5) * side / n - 0.5 for n, side in zip(cells, (ROWS, COLUMNS), strict=True)
-    )
-    total = np.zeros((frames, *cells))
-    for patch in GESTURES[gesture](rng, time_s):
-        centre_row = row + patch.along * np.sin(heading) + patch.across * np.cos(heading)
-        centre_column = column + patch.along * np.cos(heading) - patch.across * np.sin(heading)
-        down = np.exp(-0.5 * ((rows - centre_row[:, None]) / patch.radius) ** 2)
-        over = np.exp(-0.5 * ((columns - centre_column[:, None]) / patch.radius) ** 2)
-        total += (strength * patch.force)[:, None, None].clip(0.0) * down[:, :, None] * over[:, None, :]
-    return total
+    near_s: float
+
+    def pointers(self) -> dict[Hashable, Pointer]:
+        """Return the pointers that press now, by identity."""
 
 
-class SimulatedHand:
-    """Does gestures one after another, and stays off the pad while somebody else touches it.
+class PlayedHand:
+    """Does gestures one after another, a little differently each time, one every `every_s` seconds.
 
-    gestures: each with its pressure (T, 8, 8). on_gesture: called as one begins.
+    gestures: of PLAYED; any other is a pause. on_gesture: called as one begins.
     """
 
     def __init__(
-        self, gestures: Iterable[tuple[str, Series]], on_gesture: Callable[[str], None] = lambda gesture: None
+        self,
+        gestures: Sequence[str],
+        every_s: float,
+        rng: RandomState,
+        on_gesture: Callable[[str], None] = lambda gesture: None,
     ) -> None:
-        self._gestures = iter(gestures)
+        self._gestures = itertools.cycle(gestures)
+        self._every_s = every_s
+        self._rng = rng
         self._on_gesture = on_gesture
-        self._rest: list[Series] = []
-        self._last = np.zeros((ROWS, COLUMNS))
+        self._turn: Iterator[Pointer | None] = iter(())
 
-    def frame(self, is_wanted: bool) -> Series:
-        """Return the next frame of pressure. A hand that is not wanted lifts off and drops its gesture."""
+    def pointer(self, is_wanted: bool) -> Pointer | None:
+        """Return where it presses in the next frame; if it is not wanted, lift off and drop the gesture."""
         if not is_wanted:
-            self._rest = []
-            self._last = LIFT_SHARE * self._last if self._last.max() > 1.0 else np.zeros((ROWS, COLUMNS))
-            return self._last
-        while not self._rest:
-            gesture, pressed = next(self._gestures)
-            self._rest = list(pressed[::-1])
+            self._turn = iter(())
+            return None
+        for pointer in self._turn:
+            return pointer
+        self._turn = self._play(next(self._gestures))
+        return next(self._turn)
+
+    def _play(self, gesture: str) -> Iterator[Pointer | None]:
+        """Yield a pause and the touch, frame by frame."""
+        touch_s = min(LONGEST_TOUCH_S, self._every_s - SHORTEST_PAUSE_S) if gesture in PLAYED else 0.0
+        yield from itertools.repeat(None, round((self._every_s - touch_s) * FRAME_RATE_HZ))
+        if gesture in PLAYED:
             self._on_gesture(gesture)
-        self._last = self._rest.pop()
-        return self._last
+            size, make = PLAYED[gesture]
+            path = make(self._rng)
+            for frame in range(round(touch_s * FRAME_RATE_HZ)):
+                place = path(frame / FRAME_RATE_HZ)
+                yield None if place is None else Pointer(*place, size)
 
 
-def demo_gestures(rng: RandomState) -> Iterator[tuple[str, Series]]:
-    """Return the gestures of the demo, for ever. rng: seeded with DEMO_SEED."""
-    return itertools.cycle(
-        [
-            (gesture, pressure(gesture, round(seconds * FRAME_RATE_HZ), rng))
-            for gesture, seconds in DEMO_SCRIPT
-        ]
-    )
+class SimulatedPad:
+    """A pad under the hand, and under the pointers of people if there can be any.
 
-
-def simulate(script: Sequence[tuple[str, float]], seed: int) -> list[Recording]:
-    """Return a pad's counts at 54 Hz during a script of (gesture, seconds), a recording each.
-
-    Each touch has its own strength, place, direction and pace, as people's have. The clock continues from one
-    recording to the next. The same script and seed give the same counts on every machine.
+    on_frame: receives each frame's counts and clock.
     """
-    # numpy guarantees RandomState's numbers across versions, but not a Generator's.
-    rng = RandomState(seed)
-    pressed = [pressure(gesture, round(seconds * FRAME_RATE_HZ), rng) for gesture, seconds in script]
-    counts = Fabric(rng).read(np.concatenate(pressed))
-    stops = np.cumsum([len(part) for part in pressed])
-    clock_ms = ideal_clock_ms(len(counts))
-    return [
-        Recording("simulated", "none", "none", gesture, part, part_ms, "live")
-        for (gesture, _), part, part_ms in zip(
-            script, np.split(counts, stops[:-1]), np.split(clock_ms, stops[:-1]), strict=True
-        )
-    ]
 
+    def __init__(
+        self,
+        rng: RandomState,
+        hand: PlayedHand,
+        people: Pointers | None = None,
+        on_frame: Callable[[Counts, int], None] = lambda counts, sensor_ms: None,
+    ) -> None:
+        self._fabric = Fabric(rng)
+        self._hands = PressingHands(rng)
+        self._hand = hand
+        self._people = people
+        self._on_frame = on_frame
 
-def write_simulated(path: Path, script: Sequence[tuple[str, float]], seed: int) -> None:
-    """Write what `simulate` returns to a new .csv or .csv.gz file, with its provenance.
-
-    Raises RecordingError when the file is there already or cannot be written.
-    """
-    provenance = {
-        "source": "SIMULATED by drivers/fakes/hand.py; no person's data",
-        "sensor": f"none; a simulated pad of {ROWS}x{COLUMNS} taxels at {FRAME_RATE_HZ:g} Hz",
-        "seed": str(seed),
-        "licence": "Apache-2.0",
-    }
-    write_recordings(path, simulate(script, seed), provenance)
+    def scan(self, sensor_ms: int) -> Counts:
+        """Return the next frame of counts."""
+        pointers = self._people.pointers() if self._people else {}
+        near_s = self._people.near_s if self._people else -math.inf
+        if (own := self._hand.pointer(time.monotonic() - near_s > ALONE_S)) is not None:
+            pointers[self] = own
+        counts = self._fabric.read(self._hands.frame(pointers).reshape(ROWS, COLUMNS))
+        self._on_frame(counts, sensor_ms)
+        return counts

@@ -28,7 +28,6 @@ import numpy as np
 from numpy.random import RandomState
 from numpy.typing import NDArray
 
-from touchd.drivers.fakes.hand import Part, fingers
 from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
 
 Series: TypeAlias = NDArray[np.float64]
@@ -36,6 +35,7 @@ Series: TypeAlias = NDArray[np.float64]
 Size: TypeAlias = Literal["hand", "fingertips", "finger"]
 
 FRAME_S = 1.0 / FRAME_RATE_HZ
+FINGER_WIDTH = 0.9
 # Limited, so that many viewers do not make frames late.
 MOST_PRESSES = 20
 # How long a resting and a moving hand take to come off.
@@ -98,6 +98,20 @@ class Pointer(NamedTuple):
     column: float
     size: Size
     pressure: float | None = None
+
+
+class Part(NamedTuple):
+    """A part of a hand: its place along and across it and its radius, in taxels; its share of the force."""
+
+    along: float
+    across: float
+    radius: float
+    share: float
+
+
+def fingers(count: int) -> list[float]:
+    """Return the places of a hand's fingers across it, in taxels."""
+    return [FINGER_WIDTH * (finger - (count - 1) / 2) for finger in range(count)]
 
 
 @dataclass(frozen=True)

@@ -25,8 +25,8 @@ from touchd.daemon.commands.bench import measure
 from touchd.daemon.commands.one_pad import load_model
 from touchd.daemon.commands.run import SWITCH_S
 from touchd.daemon.live.server import open_live_page
-from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.frame import FRAME_RATE_HZ, Frame
+from touchd.model.studies.simulated import simulate
 
 TOUCH_S = 30.0
 DRAW_S = 10.0

@@ -15,9 +15,9 @@ from touchd.daemon.doctor.values import (
     check_taxels,
     is_pressed,
 )
-from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import open_port
+from touchd.model.studies.simulated import simulate
 
 
 def test_a_sound_pad_at_rest_has_only_living_taxels() -> None:

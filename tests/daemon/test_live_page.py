@@ -31,9 +31,9 @@ from touchd.daemon.live.server import LiveServer
 from touchd.daemon.live.touch import Touching
 from touchd.daemon.path.events import Prediction, RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
 from touchd.daemon.robot.words import name_of, vocabulary
-from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.recording import Stream, ideal_clock_ms
 from touchd.drivers.robot.session import RobotSettings
+from touchd.model.studies.simulated import simulate
 
 pytestmark = pytest.mark.timeout(300)
 SPEED = 6.0

@@ -28,10 +28,9 @@ from touchd.daemon.app.config import LiveSettings, Settings
 from touchd.daemon.live.address import listen
 from touchd.daemon.live.memory import Scene
 from touchd.daemon.live.touch import LIFTED_AFTER_S, MESSAGES_PER_S, Touching
-from touchd.daemon.playback import touched
-from touchd.daemon.playback.touched import TouchedPad, TouchPage
-from touchd.drivers.fakes.hand import SimulatedHand
-from touchd.drivers.fakes.played import repeated
+from touchd.daemon.playback.touched import TouchPage
+from touchd.drivers.fakes import hand as fake_hand
+from touchd.drivers.fakes.hand import PlayedHand, SimulatedPad
 from touchd.drivers.fakes.pointers import MOST_PRESSES, Pointer, PressingHands
 from touchd.drivers.pad.sensor import FrameQueue
 
@@ -300,7 +299,7 @@ def test_a_fast_screen_sends_no_more_than_is_taken(fake_pad: FakePad) -> None:
 def test_the_hand_goes_on_when_nobody_touches(fake_pad: FakePad) -> None:
     invitation = fake_pad.chrome.find_element(By.ID, "invitation")
     wait_for(lambda: next_frames(fake_pad.frames, 1)[0].pressure.max() > 50)
-    wait_for(lambda: invitation.text == "Touch here", touched.ALONE_S + SOON_S)
+    wait_for(lambda: invitation.text == "Touch here", fake_hand.ALONE_S + SOON_S)
 
 
 # A busy machine delays frames, and the quick suite keeps all cores busy.
@@ -422,28 +421,29 @@ def test_a_viewer_who_leaves_or_hangs_stops_pressing() -> None:
 
 
 def test_the_simulated_hand_waits_while_somebody_touches(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(touched, "ALONE_S", 0.3)
+    monkeypatch.setattr(fake_hand, "ALONE_S", 0.3)
     rng = np.random.RandomState(1)
     begun: list[str] = []
     touching = Touching()
-    pad = TouchedPad(rng, touching, SimulatedHand(repeated(["rub"], 3.0, rng), begun.append))
+    pad = SimulatedPad(rng, PlayedHand(["rub"], 3.0, rng, begun.append), touching)
     loads = [int(pad.scan(0).sum()) for _ in range(150)]
     assert max(loads) > 3 * min(loads)
-    assert begun == ["notouch", "rub"]
+    assert begun == ["rub"]
     for scan in range(200):
         if scan % 5 == 0:
             touching.take("viewer", TOUCH)
         pad.scan(0)
-    assert begun == ["notouch", "rub"]
+    assert begun == ["rub"]
     touching.leave("viewer")
     time.sleep(0.4)
-    pad.scan(0)
-    assert begun == ["notouch", "rub", "notouch"]
+    for _ in range(150):
+        pad.scan(0)
+    assert begun == ["rub", "rub"]
 
 
 def test_the_simulated_hand_leaves_as_a_mouse_comes_near(fake_pad: FakePad) -> None:
     rng, touching = np.random.RandomState(1), Touching()
-    pad = TouchedPad(rng, touching, SimulatedHand(repeated(["constant"], 3.0, rng)))
+    pad = SimulatedPad(rng, PlayedHand(["constant"], 3.0, rng), touching)
     pressed = [int(pad.scan(0).sum()) for _ in range(150)]
     assert touching.take("viewer", fake_pad.chrome.execute_async_script(COME_NEAR)) == ""
     left = [int(pad.scan(0).sum()) for _ in range(150)]

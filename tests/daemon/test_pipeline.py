@@ -20,10 +20,10 @@ from touchd.daemon.path.monitor import PadMonitor
 from touchd.daemon.path.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.daemon.path.tracker.tracker import TouchSettings
 from touchd.daemon.playback.stream import play
-from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.frame import DEFAULT_PAD, MAX_COUNT, NO_TOUCH, Counts, Frame, SensorState
 from touchd.drivers.recording import Stream, ideal_clock_ms, read_recordings, splice
 from touchd.model.classifier import Classifier, ModelState
+from touchd.model.studies.simulated import simulate
 
 STOPPED = Clock(monotonic_s=lambda: 100.0, epoch_s=lambda: 1795168800.0)
 TIME = "2026-11-20T10:00:00.000Z"

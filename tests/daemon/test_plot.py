@@ -32,9 +32,9 @@ from touchd.daemon.plot.plot import (
     trace,
 )
 from touchd.daemon.sinks.touches import gather, read_journal
-from touchd.drivers.fakes.hand import simulate, write_simulated
 from touchd.drivers.recording import UNLABELLED, Recording, Stream, splice
 from touchd.drivers.whole_file import PARTIAL
+from touchd.model.studies.simulated import simulate, write_simulated
 
 SCRIPT = (("notouch", 2.0), ("rub", 3.2), ("notouch", 2.0), ("scratch", 3.2), ("notouch", 2.0))
 PNG = b"\x89PNG\r\n\x1a\n"

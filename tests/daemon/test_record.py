@@ -19,9 +19,9 @@ from touchd.daemon.record.capture import Capture, PadReader, complaints
 from touchd.daemon.record.dialogue import Dialogue, Terms
 from touchd.daemon.record.session import Session, Setting
 from touchd.daemon.view.terminal import text_width
-from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.frame import Frame
 from touchd.drivers.recording import Recording, RecordingError, prepare, read_recordings, write_recordings
+from touchd.model.studies.simulated import simulate
 
 
 def recording() -> Recording:
@@ -132,7 +132,7 @@ def test_a_recording_waits_until_the_disk_has_room(tmp_path: Path, monkeypatch: 
 FILL = """
 import sys
 from pathlib import Path
-from touchd.drivers.fakes.hand import simulate
+from touchd.model.studies.simulated import simulate
 from touchd.drivers.recording import RecordingError, write_recordings
 folder = Path(sys.argv[1])
 (recording,) = simulate((("pat", 0.5),), seed=1)

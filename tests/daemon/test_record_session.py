@@ -21,9 +21,9 @@ from touchd.daemon.record.capture import PadLost, PadReader
 from touchd.daemon.record.dialogue import Dialogue, Terms
 from touchd.daemon.record.session import Session, Setting
 from touchd.drivers.fakes.fake_port import FakePort
-from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.frame import Counts
 from touchd.drivers.recording import Stream, ideal_clock_ms, read_recordings, write_recordings
+from touchd.model.studies.simulated import simulate
 
 SPEED = 4.0
 # Long enough for a busy machine to show what a test waits for.

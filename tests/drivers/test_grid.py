@@ -11,7 +11,6 @@ from rigs.formats import encode_fabric_grid
 from rigs.sensor_rig import next_frames, sensing, stream_of
 
 from touchd.drivers.fakes.fake_port import FakePort
-from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.frame import CLOCK_MODULUS, Counts, Frame
 from touchd.drivers.pad.grid import PERIOD_MS, GridFrame, Ring
 from touchd.drivers.recording import (
@@ -22,6 +21,7 @@ from touchd.drivers.recording import (
     read_recordings,
     write_recordings,
 )
+from touchd.model.studies.simulated import simulate
 
 SWING_COUNTS = 200.0
 SWING_HZ = 3.5

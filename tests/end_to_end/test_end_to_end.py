@@ -18,7 +18,6 @@ from touchd.daemon.path.decide import RELEASED_ABOVE
 from touchd.daemon.path.events import Event, Prediction, TouchBegan, TouchEnded
 from touchd.daemon.playback.rig import encoder_for
 from touchd.daemon.playback.stream import with_quiet
-from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.recording import (
     Recording,
     Stream,
@@ -31,6 +30,7 @@ from touchd.drivers.robot.session import RobotSettings
 from touchd.model.classifier import Classifier
 from touchd.model.studies.sessions.plan import SessionSettings, sessions
 from touchd.model.studies.sessions.score import judge, score
+from touchd.model.studies.simulated import simulate
 
 # Faster than real time: answers depend on the sensor's clock, not on the arrival.
 SPEED = 100.0

@@ -30,10 +30,10 @@ from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
 from touchd.daemon.sinks.sink import LinesSink
 from touchd.daemon.sinks.touches import decode
 from touchd.drivers.fakes.fake_port import FakePort
-from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.frame import Frame
 from touchd.drivers.recording import splice
 from touchd.drivers.robot.session import RobotSettings
+from touchd.model.studies.simulated import simulate
 
 UNITS = Path(__file__).parents[2] / "systemd"
 

@@ -25,7 +25,6 @@ from touchd.daemon.app.config import Settings, load  # noqa: E402
 from touchd.daemon.commands import teach  # noqa: E402
 from touchd.daemon.doctor.machine import check_model  # noqa: E402
 from touchd.daemon.path.events import Label, encode  # noqa: E402
-from touchd.drivers.fakes.hand import simulate  # noqa: E402
 from touchd.drivers.recording import Recording, ideal_clock_ms, write_recordings  # noqa: E402
 from touchd.model.adapt.adapt import Adapted, Features, Pretrained, adapt, logits, prepare  # noqa: E402
 from touchd.model.adapt.backbone import CropFeatures, ended, windows  # noqa: E402
@@ -49,6 +48,7 @@ from touchd.model.adapt.ship import write  # noqa: E402
 from touchd.model.classifier import SHIPPED_MODEL, Classifier, Name  # noqa: E402
 from touchd.model.studies.checks.hard_cases import hand  # noqa: E402
 from touchd.model.studies.checks.reference import Reference  # noqa: E402
+from touchd.model.studies.simulated import simulate  # noqa: E402
 from touchd.model.tgc import TGC  # noqa: E402
 from touchd.model.training.export import CalibratedTGC  # noqa: E402
 from touchd.model.training.remember import save, statistics  # noqa: E402

@@ -18,12 +18,12 @@ from touchd.daemon.doctor.check import Check
 from touchd.daemon.doctor.listening import Sample, listen
 from touchd.drivers.fakes.encode import encode_frame
 from touchd.drivers.fakes.fake_port import FakePort
-from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.frame import Counts
 from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import open_port
 from touchd.drivers.recording import Stream, ideal_clock_ms
+from touchd.model.studies.simulated import simulate
 
 SETTINGS = Settings()
 

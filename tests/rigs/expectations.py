@@ -9,9 +9,9 @@ from touchd.daemon.path.events import Event, Prediction, TouchBegan, TouchEnded
 from touchd.daemon.path.pipeline import Pipeline
 from touchd.daemon.playback.stream import DEMO_RECORDING as DEMO
 from touchd.daemon.playback.stream import play
-from touchd.drivers.fakes.hand import DEMO_SCRIPT, DEMO_SEED
 from touchd.drivers.recording import Stream, read_recordings, splice
 from touchd.model.classifier import Classifier
+from touchd.model.studies.simulated import DEMO_SCRIPT, DEMO_SEED
 
 FOLDER = Path(__file__).parents[1] / "recordings"
 GAP_S = 1.8

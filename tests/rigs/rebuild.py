@@ -22,8 +22,8 @@ from rigs.streams import STREAMS, Sent
 
 from touchd.daemon.app.config import Settings
 from touchd.daemon.commands.one_pad import load_model
-from touchd.drivers.fakes.hand import simulate, write_simulated
 from touchd.drivers.recording import read_recordings
+from touchd.model.studies.simulated import simulate, write_simulated
 
 
 def add_stream(path: Path) -> Path:

@@ -17,9 +17,9 @@ import numpy as np
 from touchd.daemon.app.config import SensorSettings
 from touchd.daemon.playback.rig import encoder_for
 from touchd.daemon.playback.stream import with_quiet
-from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.frame import FRAME_RATE_HZ
 from touchd.drivers.recording import Selection, Stream, read_recordings, realign, splice
+from touchd.model.studies.simulated import simulate
 
 CHUNK_FRAMES = 20
 GARBAGE_EVERY_CHUNKS = 50

@@ -11,9 +11,9 @@ from numpy.random import RandomState
 from numpy.typing import NDArray
 
 from touchd.drivers.fakes.fabric import NOISE_COUNTS, Fabric
-from touchd.drivers.fakes.hand import pressure
 from touchd.drivers.frame import CLOCK_MODULUS, COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS, Counts
 from touchd.drivers.recording import ideal_clock_ms
+from touchd.model.studies.simulated import pressure
 
 Series = NDArray[np.float64]
 

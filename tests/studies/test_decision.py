@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from touchd.daemon.path.decide import DecisionSettings
-from touchd.drivers.fakes.hand import simulate
 from touchd.model.classifier import Classifier
 from touchd.model.studies.decision import (
     FILE,
@@ -28,6 +27,7 @@ from touchd.model.studies.decision import (
     measure,
     tell,
 )
+from touchd.model.studies.simulated import simulate
 
 LABELS = ("notouch", "pat", "rub", "stroke")
 

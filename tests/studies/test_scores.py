@@ -19,11 +19,11 @@ from rigs.haart_folder import (
     recordings_of,
 )
 
-from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.recording import Recording, ideal_clock_ms, write_recordings
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 from touchd.model.settings import LENGTHS
 from touchd.model.studies.checks import evaluate
+from touchd.model.studies.simulated import simulate
 from touchd.model.training import haart, second_study, third_study
 from touchd.model.training.studies import MISSING
 

@@ -7,9 +7,9 @@ import pytest
 
 pytest.importorskip("torch", reason="needs the extra `train`")
 
-from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.recording import Recording
 from touchd.model.studies.sessions.passing import sessions
+from touchd.model.studies.simulated import simulate
 from touchd.model.studies.teaching import LABELLED, LABELS, LONG, LONG_FRAMES, SINGLE, lessons, touches_of
 from touchd.model.training import haart
 

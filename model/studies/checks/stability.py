@@ -23,10 +23,10 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Group, JustifyMethod
 from rich.table import Table
 
-from touchd.drivers.fakes.hand import simulate
 from touchd.model.classifier import SHIPPED_MODEL, Classifier, load_own
 from touchd.model.studies.checks.hard_cases import FRAMES, checkerboard, hand, hard_cases, tiny
 from touchd.model.studies.checks.timing import time_in_turn
+from touchd.model.studies.simulated import simulate
 
 if TYPE_CHECKING:
     from touchd.model.studies.checks.reference import Reference

@@ -1,17 +1,16 @@
-"""The simulated hand: reproducible, within a pad's range, and recognised as intended."""
+"""Simulated recordings: reproducible, and recognised as intended; the simulated pad."""
 
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rigs.haart_folder import BARE, needs_haart, recordings_of
 
 from touchd.daemon.playback.stream import DEMO_RECORDING as DEMO
 from touchd.drivers.fakes.fabric import Fabric
-from touchd.drivers.fakes.hand import DEMO_SCRIPT, DEMO_SEED, GESTURES, simulate, write_simulated
 from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT
 from touchd.drivers.recording import Recording, read_recordings, splice
 from touchd.model.classifier import Classifier
+from touchd.model.studies.simulated import DEMO_SCRIPT, DEMO_SEED, GESTURES, simulate, write_simulated
 
 TOUCHES = sorted(set(GESTURES) - {"notouch"})
 FINAL_FRAMES = 144
@@ -21,20 +20,6 @@ MAX_DEMO_BYTES = 400_000
 @pytest.fixture(scope="module")
 def demo() -> list[Recording]:
     return read_recordings(DEMO)
-
-
-def load(touch: Recording, rest: Recording) -> float:
-    """Mean rise over rest, in counts."""
-    return float(np.maximum(touch.counts - rest.counts.mean(axis=0) - 2.0, 0.0).mean())
-
-
-def pace_hz(touch: Recording) -> float:
-    """Return the frequency with the most power in the whole pad's pressure."""
-    total = touch.counts.sum(axis=(1, 2), dtype=np.float64)
-    power = np.abs(np.fft.rfft((total - total.mean()) * np.hanning(len(total)))) ** 2
-    hz = np.fft.rfftfreq(len(total), 1.0 / FRAME_RATE_HZ)
-    power[hz < 0.4] = 0.0
-    return float(hz[np.argmax(power)])
 
 
 def test_a_seed_always_gives_the_same_counts() -> None:
@@ -70,14 +55,6 @@ def test_a_touch_begins_and_ends_at_rest(gesture: str) -> None:
     rise = touch.counts - before.counts.mean(axis=0)
     assert abs(rise[[0, -1]].mean()) < 0.5
     assert rise.mean() > 0.5
-
-
-def test_a_pat_lifts_off_between_taps() -> None:
-    rest, touch = simulate([("notouch", 2.0), ("pat", 4.0)], seed=1)
-    rise = touch.counts.mean(axis=(1, 2)) - rest.counts.mean()
-    down = rise > 1.0
-    assert 10 <= np.count_nonzero(down[1:] & ~down[:-1]) <= 18
-    assert np.count_nonzero(rise < 0.5) > len(rise) / 3
 
 
 def test_a_simulated_pad_at_rest_is_like_a_real_one() -> None:
@@ -122,20 +99,3 @@ def test_the_shipped_model_names_every_part_of_the_demo(
 ) -> None:
     answers = [classifier.probabilities(recording.counts[:FINAL_FRAMES]).argmax() for recording in demo]
     assert [classifier.labels[answer] for answer in answers] == [recording.gesture for recording in demo]
-
-
-@needs_haart
-def test_simulated_hands_move_as_haarts_do(tmp_path: Path) -> None:
-    haart = read_recordings(recordings_of("training.csv", BARE, tmp_path))
-    at_rest = {(r.participant, r.substrate): r for r in haart if r.gesture == "notouch"}
-    for gesture in TOUCHES:
-        real = [r for r in haart if r.gesture == gesture and (r.participant, r.substrate) in at_rest]
-        made = [simulate([("notouch", 2.0), (gesture, 8.0)], seed) for seed in range(9)]
-        loads = [load(touch, at_rest[touch.participant, touch.substrate]) for touch in real]
-        made_load = float(np.median([load(touch, rest) for rest, touch in made]))
-        assert np.quantile(loads, 0.25) <= made_load <= np.quantile(loads, 0.75), gesture
-        # A still hand has no pace.
-        if gesture != "constant":
-            paces = [pace_hz(touch) for touch in real]
-            made_pace = float(np.median([pace_hz(touch) for _, touch in made]))
-            assert np.quantile(paces, 0.25) <= made_pace <= np.quantile(paces, 0.75), gesture
