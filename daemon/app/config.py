@@ -30,9 +30,6 @@ MAX_PADS = 16
 DEFAULT_PORT = "/dev/touchd-pad"
 
 FABRIC = "fabric-grid"
-# On a pad of a kind that the network never met, 51 % of the final answers to touches are right. 44 % have
-# this confidence, and of these 70 % are right (fabric.onnx on the third study's windows).
-FINAL_ABOVE_ON_ANOTHER_PAD = 0.6
 # Errors of a machine that has no descriptors or memory left.
 NO_ROOM = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)
 OVERRIDES = ("rows", "columns", "crop", "invert", "turn", "mirror")
@@ -211,14 +208,8 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     @property
     def pipeline(self) -> PipelineSettings:
-        decision = self.scene
-        if self.sensor.described.line != PRESETS[FABRIC].line:
-            # The network errs more often there, so the last answer has to be sure as well.
-            limits = {"final_above": FINAL_ABOVE_ON_ANOTHER_PAD, "released_above": decision.speak_above}
-            unset = {name: limit for name, limit in limits.items() if getattr(decision, name) is None}
-            decision = msgspec.structs.replace(decision, **unset)
         size_mm, is_finer = self.sensor.size_mm, max(self.sensor.described.used) > ROWS
-        return PipelineSettings(touch=self.touch, decision=decision, size_mm=size_mm, is_finer=is_finer)
+        return PipelineSettings(touch=self.touch, decision=self.scene, size_mm=size_mm, is_finer=is_finer)
 
 
 def load(path: Path) -> Settings:

@@ -24,9 +24,9 @@ LEAST_PROBABILITY = 0.01
 # later one less, because waiting helps less and less (docs/decision.md).
 SURE = 0.7
 SURE_FALLS = 0.2
-# An ended touch is told from this confidence on: nothing more comes that could make the answer surer. The
-# curve is in docs/decision.md.
-RELEASED_ABOVE = 0.4
+# The final answer, and the answer to an ended touch, are told from these confidences on. They are lower than
+# speak_above, as waiting helps no more; docs/decision.md has their curves.
+FINAL_ABOVE, RELEASED_ABOVE = 0.4, 0.4
 # "No touch" counts this much in the answer to an ended touch: the tracker has followed it from its first to
 # its last contact. Without this, one light touch in a hundred more is not named.
 ENDED_NOTOUCH = 0.15
@@ -46,16 +46,15 @@ def sure_above(confidence: float, frames: int) -> float:
 class DecisionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One scene: which gestures can occur, when to answer, and how sure to be; see touchd.example.yaml.
 
-    The defaults were measured: docs/decision.md. "notouch" and "other" can always occur. final_above and
-    released_above: None is 0 and RELEASED_ABOVE, and more on a pad of another kind (`Settings.pipeline`).
+    The defaults were measured: docs/decision.md. "notouch" and "other" can always occur.
     """
 
     gestures: tuple[str, ...] = ()
     answer_at_frames: tuple[FrameCount, FrameCount, FrameCount] = (54, 81, 144)
     early: Literal["at_mark", "when_sure"] = "at_mark"
     speak_above: Probability = 0.65
-    final_above: Probability | None = None
-    released_above: Probability | None = None
+    final_above: Probability = FINAL_ABOVE
+    released_above: Probability = RELEASED_ABOVE
     revise_margin: Probability = 0.1
     stale_s: Annotated[float, msgspec.Meta(ge=0.001, le=60)] = 2.0
 
@@ -84,7 +83,8 @@ class Decision:
     Until an answer is told, the most probable gesture stands. It is told once its probability reaches the
     stage's limit. A told answer is replaced only by a gesture that is now more probable by `revise_margin`
     and reaches that limit too; otherwise it stands, and is not told again. "notouch" may stand, but it is
-    never told and never replaces a told answer.
+    never told and never replaces a told answer. A touch without a told gesture is answered as "uncertain",
+    once, at its final answer or at its end; a later answer that is sure replaces it.
     """
 
     def __init__(self, settings: DecisionSettings, labels: tuple[str, ...]) -> None:
@@ -98,20 +98,27 @@ class Decision:
         self._answered: dict[str, float] = {}
         self.told: str | None = None
 
+    @property
+    def is_answered(self) -> bool:
+        """Whether a gesture was told, or the touch answered as "uncertain"."""
+        return self.told is not None or self._stands == UNCERTAIN
+
     def answer(self, stage: Stage, probabilities: NDArray[np.float64], *, may_tell: bool = True) -> Answer:
         """Return the answer to (labels,) calibrated probabilities at a stage.
 
-        At "released", the answer's stage becomes "uncertain" if nothing was told before and this answer may
-        not be told. At "uncertain", for a touch that ended with nothing told, it always is. may_tell:
-        False when it is too late to tell. An "ongoing" answer is reported, and stands, only if it is told.
+        The answer's stage becomes "uncertain" if no gesture was told before and this one is not sure enough
+        for "final" or "released". At "uncertain", for a touch that ended with nothing told, it always is.
+        may_tell: False when it is too late to tell. An "ongoing" answer is reported, and stands, only if it
+        is told.
         """
         has_ended = stage in ("released", "uncertain")
         scene = self.weigh(probabilities * self._ended if has_ended else probabilities)
         best = _likeliest(scene)
         may_tell = may_tell and best != NO_TOUCH
         tell = may_tell and self._is_told(stage, best, scene)
-        if stage == "uncertain" or (stage == "released" and self.told is None and not tell):
+        if not tell and self._is_doubt(stage, best, scene):
             # A touch without a name is told, unless the model sees no touch at all.
+            self._stands, self._answered = UNCERTAIN, scene
             perhaps = "" if best == NO_TOUCH else best
             return Answer("uncertain", UNCERTAIN, scene[best], scene, True, may_tell, perhaps)
         stands = best if tell or self.told is None else self.told
@@ -123,11 +130,17 @@ class Decision:
 
     def _is_told(self, stage: Stage, best: str, scene: dict[str, float]) -> bool:
         """Whether the most probable gesture is told: a first answer, or one that beats the told one."""
-        if scene[best] < self._limit(stage):
+        if stage == "uncertain" or scene[best] < self._limit(stage):
             return False
         return self.told is None or (
             best != self.told and scene[best] - scene[self.told] >= self._settings.revise_margin
         )
+
+    def _is_doubt(self, stage: Stage, best: str, scene: dict[str, float]) -> bool:
+        """Whether an answer that is not told is doubt: of a touch that has ended, or at the last mark."""
+        if stage == "final" and self.told is None:
+            return best != NO_TOUCH and scene[best] < self._limit(stage)
+        return stage == "uncertain" or (stage == "released" and self.told is None)
 
     def is_sure_of_released(self, probabilities: NDArray[np.float64], *, is_over: bool) -> bool:
         """Whether to answer a touch whose hand has left. is_over: so long ago that it has likely ended."""
@@ -139,9 +152,12 @@ class Decision:
         """Whether a touch's latest frames show another gesture than the last answer: (labels,) probabilities.
 
         A high probability is not enough: the last answer may have been wrong, so the odds must have shifted.
+        Without a told gesture it is enough.
         """
         now = self.weigh(probabilities)
-        pair = (_likeliest(now), self.told or NO_TOUCH)
+        if self.told is None:
+            return _likeliest(now) != NO_TOUCH
+        pair = (_likeliest(now), self.told)
         odds = []
         for scene in (now, self._answered):
             likely, other = (max(scene.get(label, 0.0), LEAST_PROBABILITY) for label in pair)
@@ -158,11 +174,8 @@ class Decision:
     def _limit(self, stage: Stage) -> float:
         """Return the confidence from which an answer is told at a stage."""
         settings = self._settings
-        if stage == "final":
-            return settings.final_above or 0.0
-        if stage == "released":
-            return RELEASED_ABOVE if settings.released_above is None else settings.released_above
-        return settings.speak_above
+        limits = {"final": settings.final_above, "released": settings.released_above}
+        return limits.get(stage, settings.speak_above)
 
     def weigh(self, probabilities: NDArray[np.float64]) -> dict[str, float]:
         """Return (labels,) probabilities by label, renormalised over the gestures that can occur."""

@@ -305,7 +305,7 @@ class Pipeline:
         seen = min(frames + LIFT_OFF_FRAMES, touch.length)
         if touch.due and touch.answered_release != seen:
             self._answer_at(touch, "released", seen, since_s)
-        elif touch.decision.told is None:
+        elif not touch.decision.is_answered:
             self._answer_at(touch, "uncertain", frames, since_s)
         (last,) = self._ring.frames(release.last_index, release.last_index + 1)
         self._emit(

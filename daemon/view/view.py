@@ -285,7 +285,7 @@ class View:
 
     def _last_touch(self, touch: ShownTouch) -> Text:
         palette = self._palette
-        changes = list(dict.fromkeys(said.gesture for said in touch.predictions))
+        changes = list(dict.fromkeys(said.gesture for said in touch.predictions if said.told))
         name = self._name(touch.ended.gesture) if touch.ended else ""
         line = Text.assemble((f"{name} ", palette.ink + BOLD), (f"{touch.length_s:.1f} s", palette.muted))
         if len(changes) > 1:
@@ -359,12 +359,12 @@ class View:
         told = " ✓" if said.told else ""
         sure = "" if said.gesture == UNCERTAIN else f" {said.confidence:.0%}"
         text = f"{'↻ ' if before else ''}{self._name(said.gesture)}{sure}{told}"
-        return Flag(said.elapsed_s, text, bool(before))
+        return Flag(said.elapsed_s + said.age_ms / 1000.0, text, bool(before))
 
     def _before(self, touch: ShownTouch, at: int) -> str:
-        """Return the name of the answer that this one replaced, or ""."""
+        """Return the name of the told answer that this one replaced, or ""."""
         said = touch.predictions[at]
-        earlier = [one.gesture for one in touch.predictions[:at] if one.gesture != said.gesture]
+        earlier = [one.gesture for one in touch.predictions[:at] if one.told and one.gesture != said.gesture]
         return self._name(earlier[-1]) if said.changed and earlier else ""
 
     def _robot_line(self) -> Text:

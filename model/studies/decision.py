@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
-from touchd.daemon.path.decide import Decision, DecisionSettings, sure_above
-from touchd.daemon.path.events import Stage
+from touchd.daemon.path.decide import FINAL_ABOVE, Decision, DecisionSettings, sure_above
+from touchd.daemon.path.events import UNCERTAIN, Stage
 from touchd.daemon.path.pipeline import STAGES, PipelineSettings
 from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT
 from touchd.model.classifier import SHIPPED_MODEL, Classifier, ModelState
@@ -32,7 +32,7 @@ from touchd.model.studies.results import STORED
 from touchd.model.studies.tracker.measure import LEAD_FRAMES, Case, detect, spliced
 from touchd.model.training import haart, metrics
 from touchd.model.training.studies import MISSING, Folders
-from touchd.model.training.weights import left_out_split
+from touchd.model.training.weights import FABRIC_MODEL, left_out_split
 
 FILE = STORED / "decision.json"
 FRAMES = 144
@@ -46,8 +46,11 @@ EARLIEST_FRAMES = 9
 """The first frame at which the challenge's windows are answered, about a sixth of a second."""
 LIMITS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 """Confidences after 1 s at which an early answer counts as sure."""
-SHOWN = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
-"""Values of `speak_above` in the page's table."""
+SHOWN = (0.4, 0.5, 0.8, 0.9)
+"""Values of `speak_above` in the page's table, beside the default."""
+FINAL = (0.0, 0.3, 0.4, 0.45, 0.5, 0.6, 0.7)
+"""Values of `final_above`; the page's table has those of FINAL_SHOWN."""
+FINAL_SHOWN = (0.0, 0.3, FINAL_ABOVE, 0.5, 0.6)
 LEAST_RIGHT_EARLY = 0.85
 MOST_CHANGED = 0.10
 MOST_HARMED = 0.02
@@ -59,6 +62,7 @@ NAMED = (0.4, 0.65, 0.75, 0.85)
 LABELS_AT = ((1.0, 89.4), (1.1, 80.2), (1.1, 68.0))
 """Places of the left panel's labels: seconds, percent."""
 HAART, TEST, SECOND, THIRD = "HAART held out", "HAART test", "second study", "third study"
+NEVER_MET = "a pad never met"
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,6 +143,14 @@ class Choice(msgspec.Struct, frozen=True, kw_only=True):
     harmed: float
 
 
+class AtFinal(msgspec.Struct, frozen=True, kw_only=True):
+    """Percent of touches that are named rightly in the end under one `final_above`, and of those named."""
+
+    final_above: float
+    right: float
+    right_of_named: float
+
+
 class StudyFigures(msgspec.Struct, frozen=True, kw_only=True):
     """Everything measured on one study's people."""
 
@@ -146,6 +158,7 @@ class StudyFigures(msgspec.Struct, frozen=True, kw_only=True):
     touches: int
     stages: tuple[StageFigures, ...]
     curve: tuple[Point, ...]
+    final: tuple[AtFinal, ...]
     choices: tuple[Choice, ...]
 
 
@@ -158,9 +171,13 @@ class AtLimit(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Measured(msgspec.Struct, frozen=True, kw_only=True):
-    """The stored figures. fixed: see `at_fixed_times`."""
+    """The stored figures. never_met: of the third study's pad, with a network of fabric pads alone.
+
+    fixed: see `at_fixed_times`.
+    """
 
     studies: dict[str, StudyFigures]
+    never_met: tuple[AtFinal, ...]
     challenge: tuple[AtLimit, ...]
     fixed: dict[int, float]
 
@@ -179,14 +196,16 @@ def main(arguments: Sequence[str]) -> int:
     folders = Folders(options.haart, options.second_study, options.third_study)
     training, test = haart.read_training(folders.haart), haart.read_test(folders.haart)
     weights, shipped = SHIPPED_MODEL.parent, Classifier.load()
+    third = folders.to_train_on(("third",))
     studies = {
         HAART: collect(left_out_split(weights, training), HAART),
         TEST: collect([(shipped, test)], TEST),
         SECOND: collect(left_out_split(weights, folders.to_train_on(("second",))), SECOND),
-        THIRD: collect(left_out_split(weights, folders.to_train_on(("third",))), THIRD, MISSING["third"]),
+        THIRD: collect(left_out_split(weights, third), THIRD, MISSING["third"]),
     }
+    never_met = collect([(Classifier.load(weights / FABRIC_MODEL.name), third)], NEVER_MET, MISSING["third"])
     windows = windows_of(haart.cut(haart.realigned(test), FRAMES), shipped)
-    measured = measure(studies, windows, at_fixed_times([(shipped, haart.realigned(test))]))
+    measured = measure(studies, never_met, windows, at_fixed_times([(shipped, haart.realigned(test))]))
     FILE.write_bytes(msgspec.json.format(msgspec.json.encode(measured)) + b"\n")
     fill(options.docs / "decision.md", tables(measured))
     draw(measured, options.docs / "figures" / "decision.png")
@@ -199,13 +218,16 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def measure(studies: Mapping[str, Streams], windows: Streams, fixed: Mapping[int, float]) -> Measured:
+def measure(
+    studies: Mapping[str, Streams], never_met: Streams, windows: Streams, fixed: Mapping[int, float]
+) -> Measured:
     """Return the figures of the studies' touches and of the challenge's test windows.
 
     fixed: see `at_fixed_times`.
     """
     return Measured(
         studies={title: figures_of(streams) for title, streams in studies.items()},
+        never_met=tuple(at_final(never_met, limit) for limit in FINAL),
         challenge=tuple(at_limit(windows, limit) for limit in LIMITS),
         fixed=dict(fixed),
     )
@@ -224,6 +246,7 @@ def figures_of(streams: Streams) -> StudyFigures:
         touches=len(streams.truth),
         stages=tuple(stage_figures(streams, *each) for each in zip(STAGES, MARKS, strict=True)),
         curve=tuple(point(streams, *pair) for pair in product(SPEAK_ABOVE, REVISE_MARGIN)),
+        final=tuple(at_final(streams, limit) for limit in FINAL),
         choices=tuple(choice(streams, each) for each in settings),
     )
 
@@ -250,6 +273,17 @@ def point(streams: Streams, speak_above: float, revise_margin: float) -> Point:
         right_at_end=float(np.mean([t.settled for t in told])),
         changed=float(np.mean([len(t.right) > 1 for t in told])),
         harmed=float(np.mean([t.harmed for t in told])),
+    )
+
+
+def at_final(streams: Streams, final_above: float) -> AtFinal:
+    """Return what one `final_above` names."""
+    told = tell(streams, DecisionSettings(final_above=final_above))
+    right, named = sum(each.settled for each in told), sum(bool(each.answers) for each in told)
+    return AtFinal(
+        final_above=final_above,
+        right=round(100 * right / len(told), 1),
+        right_of_named=round(100 * right / max(1, named), 1),
     )
 
 
@@ -284,7 +318,7 @@ def tell(streams: Streams, settings: DecisionSettings) -> list[Told]:
                 continue
             due = {length: name for length, name in due.items() if name != stage}
             answer = decision.answer(stage, probabilities)
-            if answer.told:
+            if answer.told and answer.gesture != UNCERTAIN:
                 answers.append((stage, frames / FRAME_RATE_HZ, answer.gesture == streams.labels[truth]))
         told.append(Told(tuple(answers)))
     return told
@@ -390,29 +424,27 @@ def _follow(case: Case, model: Classifier) -> Iterator[tuple[int, NDArray[np.flo
 def tables(measured: Measured) -> dict[str, str]:
     """Return the page's tables, in percent and seconds."""
     default, curve = measured.default, measured.studies[HAART].curve
+    final = {title: study.final for title, study in measured.studies.items()} | {
+        NEVER_MET: measured.never_met
+    }
     return {
-        "choices": table(
-            ("people", "`scene`", "first told after", "then right", "right at the end", "harmed"),
+        "final": table(
+            ("`final_above`", *final),
             [
                 (
-                    title,
-                    f"`{each.early}`",
-                    f"{each.first_mean_s:.2f}",
-                    *map(_percent, (each.first_right, each.right, each.harmed)),
+                    f"{limit:.2f}" + (" (default)" if limit == FINAL_ABOVE else ""),
+                    *(f"{points[row].right:g} / {points[row].right_of_named:g}" for points in final.values()),
                 )
-                for title, study in measured.studies.items()
-                for each in study.choices
+                for row, limit in enumerate(FINAL)
+                if limit in FINAL_SHOWN
             ],
         ),
         "curve": table(
-            ("`speak_above`", "told early", "right when told early", "right at the end", "changed", "harmed"),
+            ("`speak_above`", "told early", "then right", "right at the end", "harmed"),
             [
                 (
                     f"{p.speak_above:.2f}" + (" (default)" if p == default else ""),
-                    *map(
-                        _percent,
-                        (p.told_early, p.right_when_told_early, p.right_at_end, p.changed, p.harmed),
-                    ),
+                    *map(_percent, (p.told_early, p.right_when_told_early, p.right_at_end, p.harmed)),
                 )
                 for p in curve
                 if p.revise_margin == default.revise_margin and (p == default or p.speak_above in SHOWN)

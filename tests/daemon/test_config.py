@@ -8,13 +8,11 @@ from typing import Any
 
 import pytest
 from msgspec import inspect
-from msgspec.structs import replace
 
 from touchd.daemon.app.config import (
     MAX_BYTES,
     ConfigError,
     JournalSettings,
-    SceneSettings,
     SensorSettings,
     Settings,
     config_errors,
@@ -23,7 +21,7 @@ from touchd.daemon.app.config import (
 from touchd.daemon.app.parts import make_parts
 from touchd.daemon.commands.settings import find_settings
 from touchd.drivers.errors import PathError
-from touchd.drivers.pad.format import PRESETS, PadFormat
+from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.queue import Signal
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 
@@ -272,12 +270,9 @@ def test_a_file_of_nested_aliases_is_refused_at_once(tmp_path: Path) -> None:
     assert message == "line 1, column 45: aliases (*name) are not allowed; write the value out"
 
 
-def test_another_pads_unsure_final_answer_is_not_told() -> None:
-    another = SensorSettings(format=PadFormat(framing="text", rows=6, columns=6))
-    asked_for = SceneSettings(final_above=0.0)
-    assert Settings().pipeline.decision.final_above is None
-    assert Settings(sensor=another).pipeline.decision.final_above == 0.6
-    assert Settings(sensor=another, scene=asked_for).pipeline.decision.final_above == 0.0
+@pytest.mark.parametrize("format", ["fabric-grid", "csv", "muca"])
+def test_every_pad_has_the_same_limits(format: str) -> None:
+    assert Settings(sensor=SensorSettings(format=format)).pipeline.decision == Settings().pipeline.decision
 
 
 @pytest.mark.parametrize(
@@ -294,12 +289,6 @@ def test_a_pad_of_more_taxels_than_a_frame_is_known_by_its_grid(
     sensor: dict[str, Any], is_finer: bool
 ) -> None:
     assert Settings(sensor=SensorSettings(**sensor)).pipeline.is_finer == is_finer
-
-
-def test_a_fabric_pad_of_another_grid_is_not_another_pad() -> None:
-    grid = replace(PRESETS["fabric-grid"], rows=8, columns=8, crop=0, turn=90)
-    for sensor in (SensorSettings(format=grid), SensorSettings(rows=8, columns=8, crop=0)):
-        assert Settings(sensor=sensor).pipeline.decision.final_above is None
 
 
 @pytest.mark.parametrize("lack", [MemoryError(), OSError(errno.EMFILE, "Too many open files")])

@@ -33,10 +33,24 @@ SEQUENCES: dict[str, list[Step]] = {
         ("revised", {"stroke": 0.61}, "stroke", False, True),
         ("final", {"stroke": 0.9}, "stroke", False, False),
     ],
-    "an answer never sure is told at final all the same": [
+    "at final less confidence is enough": [
+        ("revised", {"stroke": 0.4}, "stroke", True, False),
+        ("final", {"stroke": 0.4}, "stroke", False, True),
+    ],
+    "an answer never sure becomes uncertain at final": [
         ("early", {"stroke": 0.3}, "stroke", True, False),
-        ("revised", {"stroke": 0.4}, "stroke", False, False),
-        ("final", {"stroke": 0.3}, "stroke", False, True),
+        ("revised", {"stroke": 0.39}, "stroke", False, False),
+        ("final", {"stroke": 0.39}, "uncertain", True, True),
+    ],
+    "an uncertain touch is told once it becomes sure": [
+        ("final", {"stroke": 0.39}, "uncertain", True, True),
+        ("ongoing", {"stroke": 0.55}, "stroke", True, False),
+        ("ongoing", {"stroke": 0.65}, "stroke", True, True),
+        ("ongoing", {"stroke": 0.95}, "stroke", False, False),
+    ],
+    "a pause at final is no doubt": [
+        ("final", {"notouch": 0.4}, "notouch", True, False),
+        ("ongoing", {"stroke": 0.65}, "stroke", True, True),
     ],
     "before anything is told the best answer stands, by whatever margin": [
         ("early", {"stroke": 0.40, "rub": 0.39}, "stroke", True, False),
@@ -48,10 +62,14 @@ SEQUENCES: dict[str, list[Step]] = {
         ("revised", {"stroke": 0.26, "rub": 0.40}, "stroke", False, False),
         ("final", {"stroke": 0.26, "rub": 0.40}, "stroke", False, False),
     ],
-    "at final it gives way to one better by revise_margin, sure or not": [
+    "at final it gives way to a less sure one": [
         ("early", SURE_STROKE, "stroke", True, True),
         ("revised", {"stroke": 0.20, "rub": 0.40}, "stroke", False, False),
         ("final", {"stroke": 0.20, "rub": 0.40}, "rub", True, True),
+    ],
+    "doubt at final takes nothing back": [
+        ("early", SURE_STROKE, "stroke", True, True),
+        ("final", {"stroke": 0.20, "rub": 0.39}, "stroke", False, False),
     ],
     "before final it gives way only to a sure one": [
         ("early", SURE_STROKE, "stroke", True, True),
@@ -130,7 +148,7 @@ def test_each_answer_is_reported_and_told_as_expected(steps: list[Step]) -> None
         assert answer.stage == ("uncertain" if is_uncertain else stage)
         named = max(given, key=given.__getitem__) if is_uncertain else gesture
         said = dict(zip(LABELS, probabilities(**given), strict=True))
-        if answer.stage in ("released", "uncertain"):
+        if stage in ("released", "uncertain"):
             said["notouch"] *= ENDED_NOTOUCH
         assert answer.confidence == pytest.approx(said[named] / sum(said.values()))
         told_last = gesture if told and not is_uncertain else told_last
@@ -229,12 +247,30 @@ def test_a_hand_that_has_been_off_for_half_a_second_is_answered_from_released_ab
     assert not decision.is_sure_of_released(probabilities(notouch=0.99), is_over=True)
 
 
-def test_a_final_answer_below_final_above_ends_uncertain() -> None:
-    decision = Decision(DecisionSettings(final_above=0.5), LABELS)
-    assert not decision.answer("final", probabilities(stroke=0.49)).told
-    ended = decision.answer("uncertain", probabilities(stroke=0.49))
-    assert (ended.gesture, ended.told) == ("uncertain", True)
-    assert Decision(DecisionSettings(final_above=0.5), LABELS).answer("final", probabilities(stroke=0.5)).told
+def test_a_final_answer_below_final_above_is_a_guess() -> None:
+    unsure, sure = (
+        Decision(DecisionSettings(final_above=0.5), LABELS).answer("final", probabilities(stroke=value))
+        for value in (0.49, 0.5)
+    )
+    assert (unsure.stage, unsure.gesture, unsure.perhaps) == ("uncertain", "uncertain", "stroke")
+    assert (sure.stage, sure.gesture, sure.perhaps) == ("final", "stroke", "")
+
+
+@pytest.mark.parametrize(
+    ("stage", "said", "is_answered"),
+    [
+        ("early", {"stroke": 0.5}, False),
+        ("early", {"stroke": 0.7}, True),
+        ("final", {"stroke": 0.39}, True),
+        ("final", {"notouch": 0.9}, False),
+    ],
+)
+def test_a_touch_is_answered_once_it_has_a_name_or_none(
+    stage: Stage, said: dict[str, float], is_answered: bool
+) -> None:
+    decision = Decision(SETTINGS, LABELS)
+    decision.answer(stage, probabilities(**said))
+    assert decision.is_answered == is_answered
 
 
 def test_less_confidence_is_required_later_in_a_touch() -> None:

@@ -589,6 +589,42 @@ def test_a_flag_stands_where_its_answer_was_said(chrome: Chrome) -> None:
         assert flag[0] == pytest.approx(mark[0], abs=1)
 
 
+@pytest.mark.parametrize("size", [(1600, 900), (844, 390), (390, 844)])
+@pytest.mark.parametrize("said_s", [0.7, 2.19, 3.6])
+def test_a_guess_stands_at_its_moment(chrome: Chrome, size: tuple[int, int], said_s: float) -> None:
+    show_in(chrome, *size)
+    with serving() as served:
+        chrome.get(f"http://127.0.0.1:{served.port}/")
+        wait_for(lambda: text_of(chrome, "#gesture") == "Touch the pad")
+        served.sink.put(TouchBegan(touch=1, time=TIME, sensor_ms=0))
+        guess = UNSURE | {"perhaps": "scratch", "elapsed_s": said_s - 0.56, "age_ms": 560.0}
+        served.sink.put(replace(PREDICTION, **guess))
+        served.put_frame()
+        wait_for(lambda: len(texts_of(chrome, "#flags li")) == 1)
+        ((left, right),) = lefts_and_rights(chrome, "#flags li")
+        ((first, last),) = lefts_and_rights(chrome, "#flags")
+        at = first + said_s / 4 * (last - first)
+        assert at == pytest.approx(left, abs=1) or at == pytest.approx(right, abs=1)
+        assert first <= left + 1
+        assert right - 1 <= last
+    show_in(chrome, 1280, 800)
+
+
+@pytest.mark.parametrize("is_told", [True, False])
+def test_only_a_told_answer_was_there_before(chrome: Chrome, is_told: bool) -> None:
+    with serving() as served:
+        chrome.get(f"http://127.0.0.1:{served.port}/")
+        wait_for(lambda: text_of(chrome, "#gesture") == "Touch the pad")
+        served.sink.put(TouchBegan(touch=1, time=TIME, sensor_ms=0))
+        served.sink.put(replace(PREDICTION, touch=1, gesture="rub", told=is_told))
+        # It saw as much as the answer before.
+        served.sink.put(replace(PREDICTION, **UNSURE))
+        served.put_frame()
+        wait_for(lambda: len(texts_of(chrome, "#flags li")) == 2)
+        assert text_of(chrome, "#remark").startswith("↻ before: rub") == is_told
+        assert len(texts_of(chrome, "#flags .changed")) == is_told
+
+
 UNSURE = {"touch": 1, "stage": "uncertain", "gesture": "uncertain", "perhaps": "pat"}
 
 

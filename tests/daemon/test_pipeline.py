@@ -546,6 +546,32 @@ def test_a_touch_taken_for_notouch_ends_uncertain_and_untold() -> None:
         assert [end.gesture for end in ended(events)] == ["uncertain"]
 
 
+class Doubtful(Scripted):
+    """Unsure of a touch so far, and of its latest frames until it was asked about `sure_after` windows."""
+
+    def __init__(self, sure_after: int) -> None:
+        super().__init__(lambda asked: "stroke" if asked > sure_after else "rub")
+        self._sure_after = sure_after
+
+    def answer(self) -> NDArray[np.float64]:
+        sure = super().answer()
+        return sure if len(self.asked) > self._sure_after else np.sqrt(sure) / np.sqrt(sure).sum()
+
+
+@pytest.mark.parametrize(
+    ("sure_after", "said"),
+    [(1000, ["uncertain"]), (3, ["uncertain", "stroke"])],
+    ids=["for ever", "for a second"],
+)
+def test_a_lasting_unsure_touch_is_uncertain_once(sure_after: int, said: list[str]) -> None:
+    bench = Bench(Doubtful(sure_after), decision=DecisionSettings(final_above=0.7))
+    events = bench.feel(palm(6.0, counts=60.0), nothing(2.0))
+    assert answered(events)[:3] == [EARLY, REVISED, ("uncertain", 144)]
+    assert [gesture for _, gesture in told(events)] == said
+    assert [answer.perhaps for answer in predictions(events)][2] == "rub"
+    assert [end.gesture for end in ended(events)] == said[-1:]
+
+
 def test_a_short_unsure_touch_tells_the_robot_uncertain() -> None:
     bench = Bench(decision=DecisionSettings(speak_above=0.95, released_above=0.95))
     events = bench.feel(palm(0.6), nothing(2.0))

@@ -131,6 +131,15 @@ def test_nothing_is_lost_at_the_usual_sizes(size: tuple[int, int]) -> None:
         assert text in shown, text
 
 
+def test_only_a_told_answer_was_there_before() -> None:
+    view, console = view_of(80, 24)
+    view.put(TouchBegan(touch=7, time="", sensor_ms=0))
+    view.put(msgspec.structs.replace(PREDICTION, gesture="rub", told=False))
+    view.put(msgspec.structs.replace(PREDICTION, stage="final", gesture="stroke"))
+    view.put(TouchEnded(touch=7, gesture="stroke", frames=170, reason="released", time=""))
+    assert "↻" not in "\n".join(screen(view, console))
+
+
 def test_labels_of_marks_never_run_together() -> None:
     for width, labels in ((80, ["1", "s", "1.5", "s", "2.67", "s"]), (40, ["1", "2.67", "s"])):
         view, console = view_of(width, 24)

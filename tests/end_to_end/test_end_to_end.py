@@ -14,7 +14,6 @@ from rigs.robots import Robot
 from rigs.running_daemon import run_daemon
 
 from touchd.daemon.app.config import SensorSettings, Settings
-from touchd.daemon.path.decide import RELEASED_ABOVE
 from touchd.daemon.path.events import Event, Prediction, TouchBegan, TouchEnded
 from touchd.daemon.playback.rig import encoder_for
 from touchd.daemon.playback.stream import with_quiet
@@ -56,10 +55,7 @@ def run(tmp_path: Path) -> Callable[..., list[Event]]:
         sensor = SensorSettings(format=protocol)
         with PatientPort(stream, encoder_for(sensor), speed=SPEED, faults=faults or Faults()) as port:
             sensor = msgspec.structs.replace(sensor, port=port.path)
-            # As on the fabric pad, whatever the format.
-            limits = {"final_above": 0.0, "released_above": RELEASED_ABOVE}
-            scene = msgspec.structs.replace(PATIENT, **limits)
-            return run_daemon(Settings(sensor=sensor, robot=robot, scene=scene), tmp_path, port)[0]
+            return run_daemon(Settings(sensor=sensor, robot=robot, scene=PATIENT), tmp_path, port)[0]
 
     return run
 

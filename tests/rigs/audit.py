@@ -49,8 +49,9 @@ class Audit:
             case TouchEnded():
                 stages = [answer.stage for answer in self._answers or []]
                 self._expect(event.touch == self.touches and self.is_open, event)
-                self._expect("final" in stages or stages[-1:] in (["released"], ["uncertain"]), event)
-                self._expect(event.frames < FINAL_FRAMES or "final" in stages, event)
+                is_final = "final" in stages or "uncertain" in stages
+                self._expect(is_final or stages[-1:] == ["released"], event)
+                self._expect(event.frames < FINAL_FRAMES or is_final, event)
                 self._expect(event.gesture == self._told, event)
                 self._expect((event.gesture == "uncertain") == (stages[-1:] == ["uncertain"]), event)
                 self._answers = None
@@ -58,7 +59,9 @@ class Audit:
     def _check_answer(self, answer: Prediction, before: Prediction | None) -> None:
         """Check an answer's stage, what it says of a change, and whether it may be told."""
         if before is not None:
-            again = answer.stage == before.stage == "ongoing" or before.stage == "released"
+            again = before.stage == "released" or (
+                answer.stage == "ongoing" and before.stage in ("ongoing", "uncertain")
+            )
             self._expect(again or ORDER[answer.stage] > ORDER[before.stage], answer)
         if answer.stage != "uncertain":
             changed = before is None or answer.gesture != before.gesture

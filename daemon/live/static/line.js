@@ -1,7 +1,7 @@
 // The time line of a touch: its pressure, the marks at which answers fall due, and the answers when they were said.
 
 import { SharpCanvas } from "./canvas.js";
-import { nameOf, percent, saidAt, seconds, wordsOf } from "./words.js";
+import { nameOf, percent, replacedBy, saidAt, seconds, wordsOf } from "./words.js";
 
 const SHORTEST_S = 4;
 const AFTER_FINAL = 1.5;
@@ -53,13 +53,16 @@ export class TimeLine {
   /** Show which marks were passed, and the answers. */
   show(store) {
     this.#showMarks(store);
-    const said = onLine(store);
     const { touch, pad, time } = store.touch?.began ?? {};
+    const all = store.touch?.predictions ?? [];
     const { width } = this.#canvas;
-    const key = [pad, time, touch, said.at(-1)?.elapsed_s, endOf(store.scene), width].join();
+    const key = [pad, time, touch, all.length, endOf(store.scene), width].join();
     if (key === this.#drawnFlags) return;
     this.#drawnFlags = key;
-    this.#flags.replaceChildren(...said.map((prediction, i) => flag(prediction, said[i - 1], store.scene)));
+    const flags = all.map((prediction, place) => flag(prediction, replacedBy(all, place), store.scene));
+    // Those that fall on the line, and the last of those that came later.
+    const isShown = (one, place) => saidAt(one) < endOf(store.scene) || place === all.length - 1;
+    this.#flags.replaceChildren(...flags.filter((_, place) => isShown(all[place], place)));
     arrange([...this.#flags.children], width);
   }
 
@@ -86,15 +89,10 @@ function endOf(scene) {
   return Math.max(SHORTEST_S, final * AFTER_FINAL);
 }
 
-/** The answers that fall on the line, and the last of those that came later. */
-function onLine({ scene, touch }) {
-  const said = touch?.predictions ?? [];
-  return said.filter((one) => saidAt(one) < endOf(scene) || one === said.at(-1));
-}
-
+/** before: the told answer that this one replaced, undefined without one. */
 function flag(prediction, before, scene) {
   const item = document.createElement("li");
-  const isChanged = prediction.changed && before !== undefined;
+  const isChanged = before !== undefined;
   item.dataset.stage = prediction.stage;
   item.dataset.frames = prediction.frames;
   item.dataset.gesture = prediction.gesture;
@@ -110,9 +108,9 @@ function flag(prediction, before, scene) {
   const when = `saw ${seconds(prediction.elapsed_s)}, ${prediction.told ? "told" : "said"} at ${seconds(said)}`;
   // An answer after the line's end shows its times, too.
   const isLate = at > 1 || said - prediction.elapsed_s > LATE_S;
-  const small = Object.assign(document.createElement("small"), {
-    textContent: [isLate ? when : "", prediction.told ? "✓" : ""].join(" ").trim(),
-  });
+  const small = document.createElement("small");
+  if (isLate) small.append(Object.assign(document.createElement("span"), { className: "times", textContent: when }));
+  if (prediction.told) small.append(" ✓");
   item.title = when;
   const spoken = [when, ...(isChanged ? [`before: ${nameOf(before.gesture)}`] : [])].map((text) =>
     Object.assign(document.createElement("span"), { className: "unseen", textContent: `, ${text}` }),
@@ -123,14 +121,17 @@ function flag(prediction, before, scene) {
 }
 
 /**
- * Keep each flag within the line: to the right of its mark, else to the left of it, else across it. Put each into the
- * highest row in which it covers no other.
+ * Keep each flag within the line, to the right or else to the left of its mark: without its times if these need too
+ * much room, and with its name cut if that does. Put each into the highest row in which it covers no other.
  */
 function arrange(flags, width) {
   const taken = [];
   for (const item of flags) {
-    const [at, needed] = [item.offsetLeft, item.offsetWidth];
-    if (at + needed > width) item.classList.add(at >= needed ? "left" : "across");
+    const at = item.offsetLeft;
+    item.classList.add("whole");
+    if (item.offsetWidth > Math.max(at, width - at)) item.querySelector(".times")?.remove();
+    item.classList.toggle("left", at + item.offsetWidth > width && at > width - at);
+    item.classList.remove("whole");
     const { left, right } = item.getBoundingClientRect();
     const covers = (row) => taken.some((other) => other.row === row && left < other.right && right > other.left);
     const row = [...Array(ROWS).keys()].find((one) => !covers(one)) ?? ROWS - 1;

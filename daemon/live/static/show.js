@@ -1,6 +1,6 @@
 // Everything in words and bars: the answer, the probabilities, the last touches, and the status.
 
-import { answerOf, nameOf, percent, saidAt, seconds, timeOfDay, wordsOf } from "./words.js";
+import { answerOf, nameOf, percent, replacedBy, saidAt, seconds, timeOfDay, wordsOf } from "./words.js";
 
 const ENDINGS = {
   gap: "too many frames were lost",
@@ -37,9 +37,9 @@ export function showAnswer(store) {
   const waiting = store.sensor?.state === "down" ? "The pad is down" : isTouched ? "…" : "Touch the pad";
   say(gesture, answer ? wordsOf(answer) : waiting);
   gesture.style.setProperty("--letters", gesture.textContent.length);
-  const previous = said.slice(0, -1).reverse().find((one) => one.gesture !== answer?.gesture);
+  const previous = replacedBy(said, said.length - 1);
   gesture.classList.toggle("waiting", answer === undefined);
-  gesture.classList.toggle("changed", Boolean(answer?.changed && previous && isTouched));
+  gesture.classList.toggle("changed", Boolean(previous && isTouched));
   gesture.classList.toggle("over", !isTouched);
   gesture.classList.toggle("guess", Boolean(answer?.perhaps));
   const saw = answer ? `saw ${seconds(answer.elapsed_s)}` : "";
@@ -152,10 +152,11 @@ function row({ began, predictions, ended }, { scene, said }, labels) {
   const length = seconds(Number((ended.frames / scene.frame_rate_hz).toFixed(1)));
   const path = make("span", "path");
   let before = null;
-  for (const one of predictions) {
+  for (const [place, one] of predictions.entries()) {
     if (one.gesture === before) continue;
     const name = `${answerOf(one)} · ${seconds(one.elapsed_s)}`;
-    path.append(before === null ? name : make("em", "", ` ↻ ${name}`));
+    const isReplacing = replacedBy(predictions, place) !== undefined;
+    path.append(isReplacing ? make("em", "", ` ↻ ${name}`) : before === null ? name : ` → ${name}`);
     before = one.gesture;
   }
   if (said.has(began.touch)) path.append(make("em", "label", ` = ${nameOf(said.get(began.touch))}`));

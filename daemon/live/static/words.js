@@ -23,6 +23,12 @@ export function answerOf(prediction) {
   return gesture === "uncertain" ? wordsOf(prediction) : `${nameOf(gesture)} ${percent(confidence)}`;
 }
 
+/** The answer that was told before the one at a place and that this one replaced; undefined if none was. */
+export function replacedBy(predictions, place) {
+  const { gesture, changed } = predictions[place] ?? {};
+  return changed ? predictions.slice(0, place).reverse().find((one) => one.told && one.gesture !== gesture) : undefined;
+}
+
 /** When an answer was said, in seconds since the touch began: after the frames that it is about, by their age. */
 export function saidAt({ elapsed_s, age_ms }) {
   return elapsed_s + age_ms / 1000;
