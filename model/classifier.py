@@ -56,7 +56,7 @@ class ModelMetadata(msgspec.Struct, frozen=True, kw_only=True):
 ModelState: TypeAlias = Mapping[str, NDArray[Any]]
 """The network's state after a touch's frames so far: arrays by the name of the model input.
 
-Older model files have no such inputs; for them the state is the frames themselves, as "counts".
+touchd-1, with which the tables compare, has no such inputs; its state is the frames themselves, as "counts".
 """
 
 
@@ -67,7 +67,7 @@ class Classifier:
     metadata: ModelMetadata
     session: onnxruntime.InferenceSession
     states: tuple[str, ...]
-    """Names of the state inputs; empty for an older model file."""
+    """Names of the state inputs; empty for touchd-1."""
 
     @classmethod
     def load(cls, path: Path = SHIPPED_MODEL, threads: int = 1) -> "Classifier":

@@ -33,7 +33,7 @@ class TouchBegan(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", ta
 
 
 class Prediction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="prediction"):
-    """The answer to a touch so far. age_ms is 0 and feel None in older journals."""
+    """The answer to a touch so far."""
 
     touch: Count
     stage: Stage
@@ -65,7 +65,7 @@ class LivePrediction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type"
 
 
 class TouchEnded(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="touch_ended"):
-    """A touch has ended. sensor_ms and feel are None in older journals."""
+    """A touch has ended. sensor_ms: the sensor's clock at its last contact."""
 
     touch: Count
     gesture: str

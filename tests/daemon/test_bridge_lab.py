@@ -139,7 +139,7 @@ def test_lsl_markers_carry_the_events_time(tmp_path: Path) -> None:
         SensorEvent(state="down", time=ago),
         RobotEvent(state="up", time=ago),
         RobotAction(touch=1, action="say", what="Hello", time=ago),
-        Label(touch=1, gesture="rub", time=ago, tags={"participant": "P07", "trial": "3"}),
+        Label(touch=1, began=ago, gesture="rub", time=ago, tags={"participant": "P07", "trial": "3"}),
     ):
         bridge.put(event)
     pulled = [inlet.pull_sample(timeout=WITHIN_S) for _ in range(7)]

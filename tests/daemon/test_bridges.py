@@ -50,7 +50,7 @@ def peer(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Peer]:
 
 def event(number: int) -> Label:
     """Return an event whose number every bridge sends."""
-    return Label(touch=1, gesture=f"no{number}", time=TIME)
+    return Label(touch=1, began=TIME, gesture=f"no{number}", time=TIME)
 
 
 def numbers(peer: Peer) -> list[int]:
