@@ -42,7 +42,7 @@ def test_the_python_example_does_not_answer_an_earlier_touch() -> None:
             example.kill()
 
 
-def test_the_python_example_hears_a_restarted_daemons_first_touch() -> None:
+def test_the_python_example_receives_a_restarted_daemons_first_touch() -> None:
     with Robot() as robot:
         with linked(robot) as (link, states):
             states.wait_for("up")

@@ -109,7 +109,7 @@ def test_line_ends_stay_as_they_are(config: Path) -> None:
     assert config.read_bytes().startswith(b"robot: null\r\nlanguage: de")
 
 
-def test_a_model_not_known_to_be_better_is_used_only_if_asked_for(config: Path) -> None:
+def test_an_unproven_model_is_used_only_if_asked_for(config: Path) -> None:
     assert used_after("", config, is_better=False) is None
     assert used_after("n", config) is None
     assert used_after("u", config, is_better=False) == str(config.parent / "home/lab/lab-2.onnx")
