@@ -2,6 +2,7 @@
 
 import io
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +19,13 @@ from touchd.daemon.app import cli
 from touchd.daemon.app.config import ConfigError, SensorSettings, Settings, load
 from touchd.daemon.commands import teach
 from touchd.daemon.commands.teach import with_model
+from touchd.daemon.record.dialogue import GESTURES
+from touchd.daemon.record.session import Session, Setting
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import Counts
-from touchd.drivers.recording import Stream, ideal_clock_ms
+from touchd.drivers.recording import Stream, ideal_clock_ms, write_recordings
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
+from touchd.model.studies.simulated import simulate
 
 TESTS = Path(__file__).parents[1]
 
@@ -145,6 +149,23 @@ def test_a_stopped_session_does_not_end_as_a_finished_one(tmp_path: Path) -> Non
             terminal.until("q to stop:")
             terminal.answer("q", "the same command continues from here.")
             assert terminal.process.wait(WITHIN_S) == 1
+
+
+@pytest.mark.parametrize(("asked", "missing"), [([], []), (["--other"], ["other"])])
+def test_touches_that_are_no_gesture_are_recorded_if_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, asked: list[str], missing: list[str]
+) -> None:
+    options = teach.parser().parse_args([str(tmp_path), "--participant", "anna", "--rounds", "1", *asked])
+    (made,) = simulate((("pat", 1.5),), seed=1)
+    for take in Session(tmp_path, Setting("anna"), GESTURES, 1, teach.SINGLES).takes():
+        write_recordings(take.path, [made], {})
+    asked_for: list[str] = []
+    monkeypatch.setattr(teach, "PadReader", lambda settings: nullcontext())
+    monkeypatch.setattr(
+        teach.Dialogue, "run", lambda self: asked_for.extend(take.gesture for take in self._session.missing())
+    )
+    teach._record(Console(file=io.StringIO()), options, Settings())
+    assert asked_for == missing
 
 
 @pytest.mark.slow
