@@ -205,6 +205,6 @@ def _classify(stream: Stream) -> tuple[float, list[Event]]:
     classifier = load_model(settings)
     events: list[Event] = []
     began_s = time.perf_counter()
-    play(stream, Pipeline(settings.pipeline, classifier, events.append))
+    play(stream, lambda clock: Pipeline(settings.pipeline, classifier, events.append, clock))
     took_s = time.perf_counter() - began_s
     return len(stream.counts) / FRAME_RATE_HZ / took_s, events

@@ -40,7 +40,8 @@ def main(arguments: Sequence[str]) -> int:
         line = describe(event, words) if in_words else encode(event).decode()
         sys.stdout.write(f"{line}\n")
 
-    play(stream, Pipeline(settings.pipeline, load_model(settings), emit), tally.at)
+    model = load_model(settings)
+    play(stream, lambda clock: Pipeline(settings.pipeline, model, emit, clock), tally.at)
     sys.stdout.flush()
     # JSON lines go to the pipe, the table to standard error, where people see it.
     (sys.stdout if in_words else sys.stderr).write(tally.summary())

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from touchd.daemon.path.pipeline import Pipeline
+from touchd.daemon.path.pipeline import Clock, Pipeline
 from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH, Frame
 from touchd.drivers.recording import (
     EVERYTHING,
@@ -114,11 +114,24 @@ def _there_are(files: Sequence[Path], select: Selection) -> str:
     return "see which there are with fewer options"
 
 
-def play(stream: Stream, pipeline: Pipeline, at: Callable[[int], None] = lambda number: None) -> None:
-    """Send a whole stream through a pipeline at full speed. at: called with each frame's number first."""
+def play(
+    stream: Stream, make: Callable[[Clock], Pipeline], at: Callable[[int], None] = lambda number: None
+) -> None:
+    """Send a whole stream through a pipeline at full speed. at: called with each frame's number first.
+
+    make: returns the pipeline, given the recording's clock. By the computer's clock, answers would be too old
+    on a computer that is slower than the recording.
+    """
+    frame_s = since_s = 0.0
+
+    def now_s() -> float:
+        return frame_s + time.monotonic() - since_s
+
+    pipeline = make(Clock(now_s))
     for number, (sensor_ms, counts) in enumerate(zip(stream.sensor_ms.tolist(), stream.counts, strict=True)):
         at(number)
-        pipeline.on_frame(Frame(sensor_ms, time.monotonic(), counts))
+        frame_s, since_s = sensor_ms / 1000, time.monotonic()
+        pipeline.on_frame(Frame(sensor_ms, frame_s, counts))
     pipeline.flush()
 
 

@@ -243,7 +243,7 @@ def trace(stream: Stream, settings: Settings, model: Classifier) -> Trace:
             latest = frames[-1]
             starts_s.append(float(time_s[latest]) - (int(stream.sensor_ms[latest]) - event.sensor_ms) / 1000)
 
-    play(stream, Pipeline(settings.pipeline, model, emit), frames.append)
+    play(stream, lambda clock: Pipeline(settings.pipeline, model, emit, clock), frames.append)
     rise, is_rest_known = _rise(stream, restarts)
     return Trace(stream, time_s, rise, is_rest_known, gather(events), starts_s)
 

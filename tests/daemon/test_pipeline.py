@@ -1,8 +1,10 @@
 """The pipeline from frames to events: the model's windows, and the answers at each stage."""
 
+import itertools
 import logging
 from collections.abc import Callable, Sequence
 from itertools import pairwise
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -19,6 +21,7 @@ from touchd.daemon.path.events import Event, LivePrediction, Prediction, SensorE
 from touchd.daemon.path.monitor import PadMonitor
 from touchd.daemon.path.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.daemon.path.tracker.tracker import TouchSettings
+from touchd.daemon.playback import stream as stream_module
 from touchd.daemon.playback.stream import play
 from touchd.drivers.frame import DEFAULT_PAD, MAX_COUNT, NO_TOUCH, Counts, Frame, SensorState
 from touchd.drivers.recording import Stream, ideal_clock_ms, read_recordings, splice
@@ -352,7 +355,7 @@ def test_viewers_get_the_models_own_probabilities(classifier: Classifier) -> Non
     )
     counts = list(pad.counts(np.concatenate([nothing(2.0), pat(3.0), nothing(1.0)])))
     clock_ms = ideal_clock_ms(len(counts))
-    play(Stream(np.stack(counts), clock_ms, ()), pipeline)
+    play(Stream(np.stack(counts), clock_ms, ()), lambda _: pipeline)
     begins = next(event.sensor_ms for event in emitted if isinstance(event, TouchBegan))
     first = clock_ms.tolist().index(begins)
     assert [prediction.frames for prediction in shown[-5:]] == [132, 135, 138, 141, 144]
@@ -360,6 +363,21 @@ def test_viewers_get_the_models_own_probabilities(classifier: Classifier) -> Non
         window = np.stack(counts[first : first + prediction.frames])
         expected = dict(zip(classifier.labels, classifier.probabilities(window).tolist(), strict=True))
         assert prediction.probabilities == pytest.approx(expected, abs=1e-4)
+
+
+def test_a_recording_gets_its_answers_on_a_slow_computer(
+    classifier: Classifier, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stream = splice(simulate([("notouch", 2.0), ("stroke", 3.0), ("notouch", 1.0)], 2))
+
+    def told_at(frame_s: float) -> list[tuple[str, str]]:
+        now_s, emitted = itertools.count(0.0, frame_s), list[Event]()
+        monkeypatch.setattr(stream_module, "time", SimpleNamespace(monotonic=lambda: next(now_s)))
+        play(stream, lambda clock: Pipeline(PipelineSettings(), classifier, emitted.append, clock))
+        return [(event.stage, event.gesture) for event in predictions(emitted) if event.told]
+
+    assert told_at(0.05) == told_at(1e-6)
+    assert told_at(0.05)[-1] == ("released", "stroke")
 
 
 def test_touches_are_named_wherever_the_pad_rests(classifier: Classifier) -> None:
@@ -373,7 +391,7 @@ def test_touches_are_named_wherever_the_pad_rests(classifier: Classifier) -> Non
         emitted: list[Event] = []
         resting = np.minimum(counts + np.rint(rest_counts * differ), MAX_COUNT).astype(np.uint16)
         pipeline = Pipeline(PipelineSettings(), classifier, emitted.append, STOPPED)
-        play(Stream(resting, ideal_clock_ms(len(resting)), ()), pipeline)
+        play(Stream(resting, ideal_clock_ms(len(resting)), ()), lambda _: pipeline)
         return [event.gesture for event in predictions(emitted) if event.stage == "final"]
 
     assert finals(40) == finals(300) == ["stroke", "rub", "scratch", "pat"]

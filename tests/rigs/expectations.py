@@ -76,5 +76,5 @@ def outline(events: Iterable[Event]) -> list[dict[str, object]]:
 def answers(stream: Stream, classifier: Classifier) -> list[Event]:
     """Return the pipeline's events for a stream, without a port."""
     events: list[Event] = []
-    play(stream, Pipeline(Settings().pipeline, classifier, events.append))
+    play(stream, lambda clock: Pipeline(Settings().pipeline, classifier, events.append, clock))
     return events
