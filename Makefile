@@ -6,14 +6,11 @@
 .PHONY: help demo setup test test-slow test-systemd check lint format expectations bench soak mutants lock install \
 	install-program install-files deb uninstall clean
 
-# The first interpreter that fits and can make a virtual environment, one for which there is qi if possible;
-# overridden by make PYTHON=/path/to/python3.11.
+# The first interpreter that fits and can make a virtual environment; make PYTHON=/path/to/python3.11 names another.
 FITS := import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 14))
-HAS_QI := import sys; sys.exit(sys.version_info >= (3, 13))
 CANDIDATES := python3 python3.14 python3.13 python3.12 python3.11 python3.10
-PYTHON ?= $(shell for wanted in '$(HAS_QI)' ''; do for python in $(CANDIDATES); do \
-	$$python -c "$$wanted" 2>/dev/null && $$python -c 'import ensurepip, venv; $(FITS)' 2>/dev/null && \
-	command -v $$python && exit; done; done)
+PYTHON ?= $(shell for python in $(CANDIDATES); do \
+	$$python -c 'import ensurepip, venv; $(FITS)' 2>/dev/null && command -v $$python && exit; done)
 
 # Fails with what to do where no Python fits.
 define check-python
@@ -32,16 +29,16 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --disable-pip-version-check
 
-# requirements.lock begins with what touchd, the robot and the live page need. A section for each other extra follows;
+# requirements.lock begins with what touchd and the live page need. A section for each other extra follows;
 # EXTRAS=mqtt or EXTRAS=mqtt,ros2 installs it too. An upgrade without EXTRAS keeps those that are installed.
-OTHER_EXTRAS := mqtt lsl ros2 rosbridge mcap
+OTHER_EXTRAS := mqtt lsl ros2 rosbridge mcap nao
 EXTRAS ?= $(filter $(OTHER_EXTRAS),$(shell $(DESTDIR)$(PROGRAM)/bin/python -m touchd.drivers.installed 2>/dev/null))
 comma := ,
 WANTED = $(subst $(comma), ,$(EXTRAS))
 LOCKED = awk -v wanted=' $(WANTED) ' 'BEGIN {take = 1} /^\# extra: / {take = index(wanted, " " $$3 " ")} take' \
   requirements.lock
 define check-extras
-unknown='$(filter-out nao live $(OTHER_EXTRAS),$(WANTED))'; test -z "$$unknown" || \
+unknown='$(filter-out live $(OTHER_EXTRAS),$(WANTED))'; test -z "$$unknown" || \
   { echo "there is no extra $$unknown; EXTRAS takes $(OTHER_EXTRAS)"; exit 1; }
 endef
 
@@ -135,7 +132,7 @@ install-program:
 	  echo "$(PYTHON) is in a home folder, which the service cannot see; make install PYTHON=/usr/bin/python3"; exit 1;; esac
 	@if test -e $(DESTDIR)$(PROGRAM) && ! test -e $(DESTDIR)$(PROGRAM)/pyvenv.cfg; then \
 	  echo "$(DESTDIR)$(PROGRAM) is there and is not an installed touchd; make install PREFIX=/another/folder"; exit 1; fi
-	@echo "Installing $(PROGRAM) with nao live $(WANTED) (a minute or two)"
+	@echo "Installing $(PROGRAM) with live $(WANTED) (a minute or two)"
 	@rm -rf build $(NEW)
 	@umask 022; $(PYTHON) -m venv $(NEW)
 	@$(LOCKED) > $(NEW)/requirements.lock
@@ -174,7 +171,10 @@ endif
 PACKAGE := $(CURDIR)/dist/deb
 deb:
 	@rm -rf $(PACKAGE)
-	@$(MAKE) --no-print-directory install DESTDIR=$(PACKAGE) BINDIR=/usr/bin SYSTEM=/usr/lib PYTHON=/usr/bin/python3 >/dev/null
+	@mkdir -p dist
+	@$(MAKE) --no-print-directory install DESTDIR=$(PACKAGE) BINDIR=/usr/bin SYSTEM=/usr/lib PYTHON=/usr/bin/python3 \
+	  > dist/deb.log || { cat dist/deb.log; exit 1; }
+	@rm dist/deb.log
 	@cp -r systemd/debian $(PACKAGE)/DEBIAN
 	@install -d $(PACKAGE)/usr/share/man/man1
 	@$(PACKAGE)$(PROGRAM)/bin/python systemd/man.py | gzip -9n > $(PACKAGE)/usr/share/man/man1/touchd.1.gz
@@ -190,7 +190,7 @@ deb:
 # ones. The constraints hold versions alone, so that a new tool in pyproject.toml needs no renewal first.
 LOCK := $(BIN)/uv pip compile --quiet --universal --python-version 3.10 --custom-compile-command "make lock" pyproject.toml
 lock: $(DEVELOPMENT)
-	printf 'pip\nsetuptools>=77\n' | $(LOCK) - --upgrade --generate-hashes --no-annotate --extra nao --extra live \
+	printf 'pip\nsetuptools>=77\n' | $(LOCK) - --upgrade --generate-hashes --no-annotate --extra live \
 	  --output-file requirements.lock
 	locked=$$(sed -n 's/^\([a-z0-9-]*\)==.*/--no-emit-package=\1/p' requirements.lock); \
 	for extra in $(OTHER_EXTRAS); do \
@@ -221,7 +221,6 @@ $(BIN)/python:
 	@$(check-python)
 	@echo "Making $(VENV) with $(PYTHON)"
 	@$(PYTHON) -m venv --clear $(VENV)
-	@$(PYTHON) -c '$(HAS_QI)' || echo "A real robot needs qi, which is there for Python 3.10 to 3.12: see docs/install.md"
 
 # names/touchd: where mypy finds the import name, which no folder has. A stamp file each, newer than pyproject.toml,
 # so that a second run starts at once.

@@ -3,6 +3,7 @@
 import importlib.util
 import json
 import os
+import platform
 import shlex
 import shutil
 import sys
@@ -32,6 +33,10 @@ TORCH_ON_CPU = "https://download.pytorch.org/whl/cpu"
 SIZES = {"train": "about 1 GB"}
 
 
+# Extras with wheels for x86_64 and Python below a version alone, and what does without them.
+X86_ALONE = {"ros2": ((3, 14), "use rosbridge"), "nao": ((3, 13), "leave robot.client out")}
+
+
 def extra_of(module: str) -> str | None:
     """Return the extra that installs a module, None for any other module."""
     root = module.partition(".")[0]
@@ -44,7 +49,14 @@ def installed() -> list[str]:
 
 
 def how_to_install(extra: str) -> str:
-    """Return the shell command that adds an extra, with the tool by which touchd was installed."""
+    """Return the shell command that adds an extra, with the tool by which touchd was installed.
+
+    Where an extra cannot be installed, say so instead.
+    """
+    if extra in X86_ALONE:
+        below, instead = X86_ALONE[extra]
+        if platform.machine() != "x86_64" or sys.version_info[:2] >= below:
+            return f"it is there for x86_64 with Python below {below[0]}.{below[1]} alone; {instead}"
     here = Path(sys.prefix)
     uvs = ["--torch-backend", "cpu"] if extra == "train" else []
     if (here / "uv-receipt.toml").exists():

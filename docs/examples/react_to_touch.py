@@ -10,7 +10,7 @@ import time
 try:
     import qi
 except ImportError:
-    sys.exit("qi is not installed; in a clone, `make setup` installs it: .venv/bin/python react_to_touch.py")
+    sys.exit("qi is not installed: pip install qi, on x86_64 with Python up to 3.12, or run on the robot")
 
 
 class NaoqiPassword:

@@ -33,7 +33,7 @@ def load_qi() -> Any:
     except (ImportError, SyntaxError) as error:
         raise RobotError(
             f"robot.client: qi cannot be loaded ({error}; PYTHONPATH may lead to another one); leave client "
-            f"out, or, on x86_64 with Python 3.10 to 3.12: {how_to_install('nao')}"
+            f"out, or: {how_to_install('nao')}"
         ) from error
     # libqi logs to stdout, which is the daemon's stream of events.
     qi.logging.setLevel(qi.logging.SILENT)

@@ -11,13 +11,14 @@ import pytest
 from rigs.expectations import DEMO
 from rigs.patient_port import playing
 from rigs.programs import Program, ran
-from rigs.robots import Robot, linked, message
+from rigs.robots import Robot, linked, message, needs_qi
 from rigs.sockets import free_port
 from rigs.wait import WITHIN_S, wait_for
 
 EXAMPLES = Path(__file__).parents[2] / "docs/examples"
 
 
+@needs_qi
 def test_the_python_example_receives_a_stroke_and_answers() -> None:
     with Robot() as robot, linked(robot) as (link, states):
         states.wait_for("up")
@@ -29,6 +30,7 @@ def test_the_python_example_receives_a_stroke_and_answers() -> None:
             example.kill()
 
 
+@needs_qi
 def test_the_python_example_does_not_answer_an_earlier_touch() -> None:
     with Robot() as robot, linked(robot) as (link, states):
         states.wait_for("up")
@@ -42,6 +44,7 @@ def test_the_python_example_does_not_answer_an_earlier_touch() -> None:
             example.kill()
 
 
+@needs_qi
 def test_the_python_example_receives_a_restarted_daemons_first_touch() -> None:
     with Robot() as robot:
         with linked(robot) as (link, states):
@@ -64,6 +67,7 @@ def test_the_python_example_without_a_robot_shows_its_usage() -> None:
     assert done.stderr.startswith("usage: python react_to_touch.py ADDRESS")
 
 
+@needs_qi
 def test_the_python_example_says_in_a_line_why_it_ends() -> None:
     missing = ran([sys.executable, EXAMPLES / "react_to_touch.py", f"tcp://127.0.0.1:{free_port()}"])
     assert "is the robot on" in missing.stderr

@@ -1,6 +1,7 @@
 """`make install` puts the service in place, an upgrade keeps its configuration, `make uninstall` ends it."""
 
 import os
+import platform
 import re
 import shlex
 import shutil
@@ -19,6 +20,7 @@ from rigs.programs import ran
 
 from touchd.daemon.app.cli import COMMANDS
 from touchd.daemon.app.config import Settings, load
+from touchd.drivers.installed import how_to_install
 
 ROOT = Path(__file__).parents[2]
 NOT_INSTALLED = (ROOT / "model" / "training", ROOT / "model" / "studies")
@@ -152,9 +154,33 @@ def test_an_upgrade_keeps_the_extras_that_are_installed(tmp_path: Path) -> None:
     python.chmod(0o755)
     make = ["make", "-nC", str(ROOT), "install-program", "PYTHON=python3", f"DESTDIR={tmp_path}"]
     there = ran([python, "-m", "touchd.drivers.installed"], check=True).stdout.split()
-    kept = [extra for extra in ("mqtt", "lsl", "ros2", "rosbridge", "mcap") if extra in there]
-    assert f"with nao live {' '.join(kept)} (" in ran(make, check=True).stdout
-    assert "with nao live lsl ros2 (" in ran([*make, "EXTRAS=lsl,ros2"], check=True).stdout
+    kept = [extra for extra in there if extra in ("mqtt", "lsl", "ros2", "rosbridge", "mcap", "nao")]
+    assert f"with live {' '.join(kept)} (" in ran(make, check=True).stdout
+    assert "with live lsl ros2 (" in ran([*make, "EXTRAS=lsl,ros2"], check=True).stdout
+
+
+def test_a_package_that_cannot_be_built_says_why(tmp_path: Path) -> None:
+    done = ran(["make", "-C", str(ROOT), "deb", "EXTRAS=nosuch", f"PACKAGE={tmp_path}/deb"])
+    assert done.returncode != 0
+    assert "there is no extra nosuch" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("extra", "machine", "python", "instead"),
+    [
+        ("ros2", "aarch64", (3, 11), "x86_64 with Python below 3.14 alone; use rosbridge"),
+        ("ros2", "x86_64", (3, 14), "x86_64 with Python below 3.14 alone; use rosbridge"),
+        ("nao", "aarch64", (3, 11), "x86_64 with Python below 3.13 alone; leave robot.client out"),
+        ("ros2", "x86_64", (3, 13), ""),
+    ],
+)
+def test_nothing_is_advised_that_cannot_be_installed(
+    extra: str, machine: str, python: tuple[int, int], instead: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(platform, "machine", lambda: machine)
+    monkeypatch.setattr(sys, "version_info", python)
+    assert how_to_install(extra).endswith(instead)
+    assert ("install" in how_to_install(extra)) == (instead == "")
 
 
 def test_an_unknown_extra_is_refused(tmp_path: Path) -> None:
