@@ -8,6 +8,7 @@ import os
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
@@ -92,7 +93,9 @@ class SensorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
     def __post_init__(self) -> None:
         if isinstance(self.format, str) and self.format not in PRESETS:
-            raise ValueError(f"format {self.format!r} is none of {', '.join(PRESETS)}, nor a description")
+            near = get_close_matches(self.format, PRESETS, n=1)
+            advice = f"did you mean {near[0]}?" if near else "it may also be a description"
+            raise ValueError(f"format {self.format!r} is none of {', '.join(PRESETS)}; {advice}")
         has_mark = self.described.first_bytes or self.described.framing != "binary"
         if not has_mark and not self.port.startswith("udp://"):
             raise ValueError("a binary format needs a header or footer; lines of numbers need framing: text")
