@@ -136,18 +136,7 @@ def complain(error: Exception) -> int:
 
 def _explained(error: Exception) -> tuple[str, int]:
     """Return an error in words, and the exit code for it."""
-    if isinstance(error, ModuleNotFoundError) and (extra := extra_of(error.name or "")):
-        # As a comment: the line's end may be pasted into a shell.
-        size = f"  # {SIZES[extra]} on the disk" if extra in SIZES else ""
-        return f"{error.name} is not installed (extra {extra}): {how_to_install(extra)}{size}", USERS_MISTAKE
-    if isinstance(error, ImportError) and (library := NOT_THERE.search(str(error))):
-        what = f"{library[1]}, a library of the system, is not there; install the package that brings it"
-        return what, USERS_MISTAKE
-    if isinstance(error, OSError) and error.errno in DISK_FULL:
-        discard_output()
-        return f"{error.filename or 'standard output'}: cannot be written ({error.strerror})", USERS_MISTAKE
-    if isinstance(error, OSError) and error.errno in (errno.EACCES, errno.ENAMETOOLONG):
-        what = f"{error.filename}: {error.strerror}; give another path, or put sudo before the command"
+    if isinstance(error, ImportError | OSError) and (what := _lacking(error)):
         return what, USERS_MISTAKE
     if isinstance(error, TouchdError):
         # An address that this computer does not have yet: systemd starts the service again.
@@ -159,3 +148,21 @@ def _explained(error: Exception) -> tuple[str, int]:
         # Labs set it for ROS or NAOqi; it puts other versions of libraries before those installed.
         what += "; PYTHONPATH is set: try again after `unset PYTHONPATH`"
     return what, OUR_MISTAKE
+
+
+def _lacking(error: ImportError | OSError) -> str:
+    """Return what the computer lacks: a library, space or permission; "" for any other error."""
+    if isinstance(error, ModuleNotFoundError) and (extra := extra_of(error.name or "")):
+        # As a comment: the line's end may be pasted into a shell.
+        size = f"  # {SIZES[extra]} on the disk" if extra in SIZES else ""
+        return f"{error.name} is not installed (extra {extra}): {how_to_install(extra)}{size}"
+    if isinstance(error, ImportError):
+        library = NOT_THERE.search(str(error))
+        missing = "a library of the system, is not there; install the package that brings it"
+        return f"{library[1]}, {missing}" if library else ""
+    if error.errno in DISK_FULL:
+        discard_output()
+        return f"{error.filename or 'standard output'}: cannot be written ({error.strerror})"
+    if error.errno in (errno.EACCES, errno.ENAMETOOLONG):
+        return f"{error.filename}: {error.strerror}; give another path, or put sudo before the command"
+    return ""

@@ -84,6 +84,16 @@ def make_parts(
         monitor = PadMonitor(name, sensor.parser, sensor.where)
         pipeline = Pipeline(pad.pipeline, models[name], emit, None, name, viewers, number, monitor)
         pads.append(PadChannel(name, models[name], queue, sensor, pipeline))
+    return _with_sinks(tuple(pads), settings, models, emit)
+
+
+def _with_sinks(
+    pads: tuple[PadChannel, ...],
+    settings: Settings,
+    models: dict[str, Classifier],
+    emit: Callable[[Event], None],
+) -> Parts:
+    """Return the pads with the configured sinks."""
     sinks: list[Sink] = []
     kept: TouchSink | None = None
     live: LiveServer | None = None
@@ -107,7 +117,7 @@ def make_parts(
         sinks += bridges
     if settings.robot is not None:
         sinks.append(link_to_robot(settings, emit))
-    return Parts(tuple(pads), tuple(sinks), live, kept, bridges, labeller)
+    return Parts(pads, tuple(sinks), live, kept, bridges, labeller)
 
 
 def load_models(settings: Settings) -> dict[str, Classifier]:

@@ -128,20 +128,9 @@ def main(arguments: Sequence[str]) -> int:
         closing.enter_context(TagServer(service.events, found.file, ports))
         page, code = _live_page(settings) if settings.live else ("", "")
         if options.view:
-            # It brings rich, which no service needs.
-            from touchd.daemon.view.view import View, ViewLog
-
-            (name, first), *_ = settings.pads.items()
-            title = f"{first.sensor.port} · {page}" if page else first.sensor.port
-            view = View(title, words_of(settings), first.scene.answer_at_frames, pad=name)
-            closing.enter_context(view)
-            handler: logging.Handler = ViewLog(view)
-            show_on(view, service, settings)
-            closing.enter_context(listening(view.on_key))
+            handler = _show_in_terminal(service, settings, page, closing)
         else:
-            handler = writer = LogWriter(sys.stderr.fileno())
-            writer.start()
-            closing.callback(writer.stop, LOG_STOP_S)
+            handler = _log_to_stderr(closing)
             form = _in_words(settings) if in_words else encode
             service.tell(LinesSink("stdout", sys.stdout.fileno(), form, signals.stop))
             if in_words:
@@ -154,6 +143,27 @@ def main(arguments: Sequence[str]) -> int:
         favour_latency()
         service.run(_reporting(service, signals.must_stop, closing))
     return 0
+
+
+def _show_in_terminal(service: Service, settings: Settings, page: str, closing: ExitStack) -> logging.Handler:
+    """Show the first pad in the whole terminal; return the log's handler. page: its address."""
+    # It brings rich, which no service needs.
+    from touchd.daemon.view.view import View, ViewLog
+
+    (name, first), *_ = settings.pads.items()
+    title = f"{first.sensor.port} · {page}" if page else first.sensor.port
+    view = View(title, words_of(settings), first.scene.answer_at_frames, pad=name)
+    closing.enter_context(view)
+    show_on(view, service, settings)
+    closing.enter_context(listening(view.on_key))
+    return ViewLog(view)
+
+
+def _log_to_stderr(closing: ExitStack) -> logging.Handler:
+    writer = LogWriter(sys.stderr.fileno())
+    writer.start()
+    closing.callback(writer.stop, LOG_STOP_S)
+    return writer
 
 
 def show_on(view: "View", service: Service, settings: Settings) -> None:

@@ -120,7 +120,7 @@ class TagServer:
             self._socket.listen()
             self._thread.start()
         except OSError as error:
-            log.warning("`touchd tag` will not work: %s: %s", self._path, error.strerror)
+            log.warning("`touchd tag` will not work: %s: %s", self._path, error.strerror or error)
         return self
 
     def __exit__(self, *_: object) -> None:

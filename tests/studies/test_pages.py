@@ -10,7 +10,6 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from rigs.stored_report import DOCS
 
 pytest.importorskip("torch", reason="needs the extra `train`")
 
@@ -26,6 +25,8 @@ from touchd.model.studies.tracker import report as tracker
 from touchd.model.studies.tracker.figures import TouchReport
 from touchd.model.training.recipe import read_recipe
 from touchd.model.training.weights import SCORES_NAME
+
+DOCS = Path(__file__).parents[2] / "docs"
 
 
 def stored(path: Path, kind: Any) -> Any:
