@@ -19,7 +19,7 @@ from touchd.daemon.app import cli
 from touchd.daemon.app.config import ConfigError, SensorSettings, Settings, load
 from touchd.daemon.commands import teach
 from touchd.daemon.commands.teach import with_model
-from touchd.daemon.record.dialogue import GESTURES
+from touchd.daemon.record.dialogue import GESTURES, Dialogue
 from touchd.daemon.record.session import Session, Setting
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import Counts
@@ -162,7 +162,7 @@ def test_touches_that_are_no_gesture_are_recorded_if_asked_for(
     asked_for: list[str] = []
     monkeypatch.setattr(teach, "PadReader", lambda settings: nullcontext())
     monkeypatch.setattr(
-        teach.Dialogue, "run", lambda self: asked_for.extend(take.gesture for take in self._session.missing())
+        Dialogue, "run", lambda self: asked_for.extend(take.gesture for take in self._session.missing())
     )
     teach._record(Console(file=io.StringIO()), options, Settings())
     assert asked_for == missing
