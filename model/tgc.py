@@ -221,8 +221,11 @@ class TGC(nn.Module):
     def at_own_lengths(self, counts: Tensor, lengths: Tensor) -> Tensor:
         """Return (B, K, classes) logits; lengths: (B, K), of each window its own."""
         # Sums over a touch need float32, also where the layers train in bfloat16.
-        features = self.features(counts).to(counts.dtype)
-        frames = torch.arange(1, counts.shape[1] + 1, device=counts.device)[:, None]
+        return self.answers(self.features(counts).to(counts.dtype), lengths)
+
+    def answers(self, features: Tensor, lengths: Tensor) -> Tensor:
+        """Return (B, K, classes) logits after `lengths` (B, K) frames, from their features (B, T, width)."""
+        frames = torch.arange(1, features.shape[1] + 1, device=features.device)[:, None]
         mean = features.cumsum(dim=1) / frames
         variance = (features * features).cumsum(dim=1) / frames - mean * mean
         highest = features.cummax(dim=1).values

@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.console import Console
 
 from touchd.daemon.sinks.touch_store import labels_in
-from touchd.drivers.frame import NO_TOUCH
+from touchd.drivers.frame import NO_TOUCH, OTHER
 from touchd.model.adapt.folder import files_of
 from touchd.model.adapt.output import check_output
 
@@ -59,7 +59,7 @@ def main(arguments: Sequence[str]) -> int:
     adapted = adapt_folder(options.extra, output, settings, options.keep_all, labels)
     for line in report_lines(adapted):
         sys.stdout.write(f"{line}\n")
-    gestures = ", ".join(label for label in adapted.labels if label != NO_TOUCH)
+    gestures = ", ".join(label for label in adapted.labels if label not in (NO_TOUCH, OTHER))
     sys.stdout.write(
         f"\nWritten: {output}\nTo use it, set in touchd.yaml:\n\n"
         f"model: {json.dumps(str(output.resolve()), ensure_ascii=False)}\n"

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from touchd.drivers.frame import NO_TOUCH
+from touchd.drivers.frame import NO_TOUCH, OTHER
 from touchd.drivers.recording import Recording
 from touchd.model.adapt.backbone import BAR, CropFeatures, WindowFeatures, crops, ended, split, windows
 from touchd.model.adapt.head import AdaptSettings, fit, rebuilt
@@ -110,8 +110,9 @@ def adapt(
     """
     gestures = {recording.gesture for recording in material.recordings}
     known = pretrained.labels
-    # The daemon requires the label "notouch".
-    labels = tuple(sorted(gestures | {NO_TOUCH} | set(known if keep_all else ())))
+    # The daemon requires the label "notouch". A network that knows `other` keeps it, recorded or not.
+    kept = set(known) if keep_all else {OTHER} & set(known)
+    labels = tuple(sorted(gestures | {NO_TOUCH} | kept))
     begin = rebuilt(pretrained.head, known, labels)
     new = sorted(set(labels) - set(known))
     rehearsed = pretrained.remembered.samples(labels, settings.seed)

@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal, TypeAlias
 
+from touchd.drivers.frame import OTHER
 from touchd.model.adapt.adapt import Adapted
 from touchd.model.adapt.measure import Comparison, GestureFigures, LengthFigures
 from touchd.model.adapt.plan import LeftOut
@@ -76,7 +77,8 @@ def warnings(adapted: Adapted, names: Mapping[str, str]) -> Iterable[str]:
         yield f"Only one participant did {_listed(alone, names)}: no figure for other people."
     if gone := sorted(set(adapted.known) - set(adapted.labels)):
         yield f"The new model no longer knows {_listed(gone, names)}: record them too, or give --keep-all."
-    if lacking := [label for label in adapted.labels if label not in gestures]:
+    # Nobody need record what is none of the gestures.
+    if lacking := [label for label in adapted.labels if label not in gestures and label != OTHER]:
         yield f"No recording of {_listed(lacking, names)}: known from other people and pads only."
 
 

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from touchd.drivers.frame import FRAME_RATE_HZ
+from touchd.drivers.frame import FRAME_RATE_HZ, OTHER
 from touchd.model.classifier import SHIPPED_MODEL
 from touchd.model.settings import LENGTHS
 from touchd.model.studies.checks.evaluate import REPORTED_LENGTHS, SCENE, Evaluation, Score
@@ -80,6 +80,7 @@ def tables(scores: Scores) -> dict[str, str]:
                 *(
                     (label, *(_share(each.per_class, label) for each in final.values()))
                     for label in scores.labels
+                    if label != OTHER
                 ),
                 (scene, *(_percent(each.scene_accuracy) for each in final.values())),
             ],
@@ -144,14 +145,15 @@ def draw_confusion(scores: Scores, path: Path) -> None:
 
 
 def draw_shares(axes: Axes, counts: NDArray[np.int64], labels: Sequence[str]) -> None:
-    """Draw confusion counts (C, C) in percent of each true gesture."""
-    shares = 100 * counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+    """Draw confusion counts (C, C) in percent of each true gesture; no window is truly `other`."""
+    true = [place for place, label in enumerate(labels) if label != OTHER]
+    shares = 100 * counts[true] / np.maximum(counts[true].sum(axis=1, keepdims=True), 1)
     axes.imshow(shares, cmap="Blues", vmin=0, vmax=100)
     for (row, column), share in np.ndenumerate(shares):
         colour = "white" if share > DARK_PERCENT else "black"
         axes.text(column, row, f"{share:.0f}", ha="center", va="center", color=colour, fontsize=8)
     axes.set_xticks(range(len(labels)), labels, rotation=45, ha="right")
-    axes.set_yticks(range(len(labels)), labels)
+    axes.set_yticks(range(len(true)), [labels[place] for place in true])
 
 
 def _summary(title: str, evaluation: Evaluation) -> tuple[str, ...]:

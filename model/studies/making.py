@@ -36,11 +36,15 @@ def train(arguments: Sequence[str]) -> int:
     """Train what is not trained yet, resuming where a training was cut off; returns 0."""
     parser = _recipe_parser("train", "Trains every network of a recipe; run it again to resume.")
     parser.add_argument("--threads", type=int, default=2, help="processor threads, where there is no GPU (2)")
+    parser.add_argument(
+        "--begin-from", type=Path, help="folder of model files to begin from, without their checkpoints"
+    )
     options = parser.parse_args(arguments)
 
     from touchd.model.training.ship import train_recipe
 
-    train_recipe(read_recipe(options.recipe), _folders(options), options.runs, options.threads)
+    recipe, folders = read_recipe(options.recipe), _folders(options)
+    train_recipe(recipe, folders, options.runs, options.threads, options.begin_from)
     return 0
 
 

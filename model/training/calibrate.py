@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from touchd.drivers.frame import NO_TOUCH, OTHER
 from touchd.drivers.recording import Recording
 from touchd.model.adapt.adapt import TEMPERATURES
 from touchd.model.adapt.measure import cross_entropy
@@ -49,6 +50,29 @@ def ask(saved: Checkpoint, recordings: Sequence[Recording]) -> Answers:
         logits[:, missing] = IMPOSSIBLE
         answers[length] = logits, windows.labels
     return answers
+
+
+def fit_shift(studies: Sequence[Sequence[Answers]], labels: Sequence[str], most: Sequence[float]) -> float:
+    """Return what to add to the logit of `other`, so that held-out people lose few touches to it.
+
+    studies: the answers about each study's people. most: the largest share of touches that each may lose.
+    """
+    other, rest = labels.index(OTHER), labels.index(NO_TOUCH)
+    shifts = []
+    for answers, share in zip(studies, most, strict=True):
+        margins = []
+        for length in LENGTHS:
+            logits, truth = _together(answers, length)
+            touched = logits[truth != rest]
+            margins.append(touched[:, other] - np.delete(touched, other, axis=1).max(axis=1))
+        shifts.append(-float(np.quantile(np.concatenate(margins), 1.0 - share)))
+    return min(shifts)
+
+
+def shifted(answers: Answers, labels: Sequence[str], shift: float) -> Answers:
+    """Return answers with the shift added to the logit of `other`."""
+    added = np.array([shift if label == OTHER else 0.0 for label in labels])
+    return {length: (logits + added, truth) for length, (logits, truth) in answers.items()}
 
 
 def fit_temperatures(answers: Sequence[Answers]) -> dict[int, float]:

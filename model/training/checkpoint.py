@@ -1,16 +1,18 @@
 """Checkpoints: a network with its origin and the state that resuming needs."""
 
 import zipfile
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import msgspec
+import onnx
 import torch
 from torch import Tensor
 
 from touchd.drivers.errors import TouchdError
 from touchd.drivers.whole_file import whole_file
+from touchd.model.classifier import METADATA_KEY, ModelMetadata
 from touchd.model.tgc import TGC
 from touchd.model.training.settings import TrainSettings
 
@@ -39,6 +41,13 @@ class Checkpoint:
     code_version: str
     data_sha256: str
 
+    def shifted(self, label: str, shift: float) -> "Checkpoint":
+        """Return a copy that adds to a label's logit."""
+        name = max(name for name in self.network if name.startswith("dense.") and name.endswith(".bias"))
+        bias = self.network[name].clone()
+        bias[self.labels.index(label)] += shift
+        return replace(self, network={**self.network, name: bias})
+
     def build(self) -> TGC:
         """Return the averaged network, ready to answer."""
         network = TGC(self.settings.network, len(self.labels))
@@ -53,6 +62,52 @@ def save(checkpoint: Checkpoint, path: Path) -> None:
     stored["settings"] = msgspec.json.encode(checkpoint.settings).decode()
     with whole_file(path) as partial:
         torch.save(stored, partial)
+
+
+def restored(model: Path) -> Checkpoint:
+    """Return the network of an exported file as a checkpoint to begin from; raises CheckpointError.
+
+    The exporter folds some weights into others and transposes some; this undoes it, up to rounding.
+    """
+    try:
+        proto = onnx.load(model)
+        (entry,) = (each for each in proto.metadata_props if each.key == METADATA_KEY)
+        metadata = msgspec.json.decode(entry.value, type=ModelMetadata)
+    except Exception as error:  # onnx raises many types
+        raise CheckpointError(f"{model}: not a model file of touchd") from error
+    found = {t.name: torch.from_numpy(onnx.numpy_helper.to_array(t).copy()) for t in proto.graph.initializer}
+    names = TrainSettings.__struct_fields__
+    known = {name: value for name, value in metadata.training.items() if name in names}
+    settings = msgspec.convert(known, TrainSettings)
+    network = TGC(settings.network, len(metadata.labels))
+    weights = network.state_dict()
+    unnamed = [name for name in weights if f"calibrated.network.{name}" not in found]
+    folded = [t for name, t in found.items() if not name.startswith("calibrated") and t.dim() >= 2]
+    for name in unnamed:
+        wanted = weights[name]
+        for place, tensor in enumerate(folded):
+            if (fitting := _unfolded(tensor, wanted, network)) is not None:
+                weights[name] = fitting
+                del folded[place]
+                break
+        else:
+            raise CheckpointError(f"{model}: has no {name}")
+    weights |= {name: found[f"calibrated.network.{name}"] for name in weights if name not in unnamed}
+    return Checkpoint(
+        settings, metadata.labels, settings.steps, weights, {}, metadata.code_version, metadata.data_sha256
+    )
+
+
+def _unfolded(tensor: Tensor, wanted: Tensor, network: TGC) -> Tensor | None:
+    """Return a weight of the shape `wanted` from what the exporter made of one; None if it is of another."""
+    planes = network.stem.plane_weights
+    if tensor.dim() == 4 and tensor.shape[:2] == (wanted.shape[0], planes.shape[1]) and wanted.dim() == 4:
+        return torch.einsum("otyx,tp->opyx", tensor.double(), torch.linalg.pinv(planes.double())).float()
+    if tensor.dim() == 3 and tensor.transpose(1, 2).shape == wanted.shape:
+        return tensor.transpose(1, 2).contiguous()
+    if tensor.dim() == 2 and tensor.T.shape == wanted.shape:
+        return tensor.T.contiguous()
+    return None
 
 
 def load(path: Path) -> Checkpoint:

@@ -10,13 +10,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.drivers.frame import Counts
+from touchd.drivers.frame import OTHER, Counts
 from touchd.drivers.recording import Recording, RecordingError, read_recordings, realign
 
 TRAINING_FILE = "training.csv"
 TEST_FILE = "testWITHLABELS.csv"
 PUBLISHED_FRAMES = 432
 GESTURES = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
+LABELS = (*GESTURES, OTHER)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +67,8 @@ def realigned(recordings: Iterable[Recording]) -> list[Recording]:
 
 
 def label(recording: Recording) -> int:
-    """Return the recording's class, an index into GESTURES."""
-    return GESTURES.index(recording.gesture)
+    """Return the recording's class, an index into the labels of a network: GESTURES, then `other`."""
+    return LABELS.index(recording.gesture)
 
 
 def cut(recordings: Sequence[Recording], length: int) -> Windows:

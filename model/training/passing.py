@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from touchd.drivers.frame import NO_TOUCH, ROWS
+from touchd.drivers.frame import NO_TOUCH, OTHER, ROWS
 from touchd.drivers.recording import Recording
 from touchd.model.adapt.augment import Frames
 from touchd.model.training.contacts import LEAVES, contacts, rests_of, shift_of_rest
@@ -28,7 +28,7 @@ ANSWERED_FRAMES = (9, 20)
 FORGOTTEN_FRAMES = 54
 PACE = 0.2
 # How many contacts a touch has: this many more than one at most, few more often than many.
-MORE_CONTACTS = {"pat": 6, "stroke": 3}
+MORE_CONTACTS = {"pat": 6, "stroke": 3, OTHER: 4}
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class Passing:
         """Find the contacts of each recording, and its rest."""
         rests = rests_of(recordings)
         found = [
-            contacts(each, is_soft=is_soft) if each.gesture in LEAVES else []
+            contacts(each, is_soft=is_soft) if each.gesture in (*LEAVES, OTHER) else []
             for each, is_soft in zip(recordings, soft, strict=True)
         ]
         shifts = [

@@ -12,10 +12,12 @@ import msgspec
 import yaml
 
 from touchd.drivers.errors import TouchdError
-from touchd.model.training.settings import Study, TrainSettings
+from touchd.model.training.settings import Shares, Study, TrainSettings
 
 SHIPPED_RECIPE = Path(__file__).parent / "recipe.yaml"
 BASE_RECIPE = Path(__file__).parent / "base.yaml"
+"""Recipe of the networks that PASSING_RECIPE's begin from."""
+PASSING_RECIPE = Path(__file__).parent / "passing.yaml"
 """Recipe of the networks that the shipped recipe's begin from."""
 HAART_RECIPE = Path(__file__).parent / "haart.yaml"
 """Recipe of the network from HAART alone, for the comparison with the paper."""
@@ -39,6 +41,8 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     settings: TrainSettings
     left_out_study: Literal["third"] | None = None
     """A study that one network leaves out whole, for the figure of a pad never met."""
+    most_lost: Shares | None = None
+    """The largest share of held-out people's touches that may be answered `other`: sets its logit."""
     begins_from: str | None = None
     """Name of the recipe whose trained networks these ones begin from; None: from random weights."""
     keeps: float = 0.0

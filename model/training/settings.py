@@ -17,6 +17,32 @@ class Shares(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     third: float = 1.0
 
 
+class Refinement(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A training of the upper layers alone, on windows that are drawn once, some of none of the gestures.
+
+    Shares are of all windows; `unknown` is the same on every pad, so that the pad does not tell the answer.
+    """
+
+    windows: int = 3072
+    """How many are drawn."""
+    unknown: float = 0.28
+    """None of the gestures."""
+    real: float = 0.65
+    """Share of those on the third study's pad that were recorded; the others are made."""
+    shuffled: float = 0.12
+    """Share of the made ones that are recordings whose blocks are shuffled."""
+    slow: float = 0.08
+    """Strokes at a quarter of their speed and more."""
+    changed: float = 0.06
+    """The hand changes its gesture: the newest one counts."""
+    both: float = 0.03
+    """Two hands at once: one of the two is right."""
+    sharpened: float = 0.4
+    """Share of the third study's windows that are changed to what a fabric pad would have read."""
+    taught: float = 0.5
+    """Share of the network begun from in what is to be answered about the known gestures."""
+
+
 class TrainSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Everything that determines a training's result, apart from data, code, and the networks beside it."""
 
@@ -41,5 +67,7 @@ class TrainSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Share of the windows of touches that show a touch in passing: the hand comes, and is gone again."""
     bfloat16: bool = False
     """Whether the layers compute in bfloat16 while training, where the device has instructions for it."""
+    refined: Refinement | None = None
+    """Train the encoder and the dense layers alone, on drawn windows. None: all layers."""
     network: NetworkSettings = NetworkSettings()
     augmentation: AugmentationSettings = AugmentationSettings()

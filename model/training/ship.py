@@ -9,18 +9,20 @@ from types import MappingProxyType
 from typing import Any
 
 import msgspec
+import numpy as np
 import torch
 
-from touchd.drivers.frame import FRAME_RATE_HZ
+from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH, OTHER
 from touchd.drivers.recording import Recording
 from touchd.model.adapt.backbone import crops, split
 from touchd.model.adapt.remembered import Remembered
 from touchd.model.classifier import SHIPPED_MODEL, ModelMetadata, digest_file
 from touchd.model.settings import LENGTHS, MAX_LENGTH
-from touchd.model.training import calibrate, checkpoint, haart
+from touchd.model.training import calibrate, checkpoint, haart, unknown
 from touchd.model.training.checkpoint import Checkpoint
 from touchd.model.training.export import export
 from touchd.model.training.recipe import Job, Recipe, all_jobs, final_jobs, fold_jobs, fold_name, study_jobs
+from touchd.model.training.refine import as_other, refine
 from touchd.model.training.remember import save as save_remembered
 from touchd.model.training.remember import statistics
 from touchd.model.training.settings import Study
@@ -30,14 +32,22 @@ from touchd.model.training.weights import FABRIC_MODEL, LEFT_OUT_FOLDER, SEEDS_F
 
 REMEMBERED_CROPS = 3
 """Crops of each recording that the rehearsal statistics are computed from."""
+REMEMBERED_MADE = 96
+"""Made touches that are none of the gestures, of each fabric study, in the same statistics."""
 
 
-def train_recipe(recipe: Recipe, folders: Folders, runs: Path, threads: int) -> None:
+def train_recipe(
+    recipe: Recipe, folders: Folders, runs: Path, threads: int, begin_from: Path | None = None
+) -> None:
     """Train every network of the recipe that is not finished in `runs` yet.
 
     On a GPU, networks at the same step train side by side; on a CPU, one after another.
+    begin_from: a folder of model files to begin from, if the networks to begin from are not in `runs`.
     """
     torch.set_num_threads(threads)
+    if recipe.settings.refined is not None:
+        _refine_all(recipe, folders, runs, begin_from)
+        return
     device = fastest_device()
     recordings = folders.to_train_on(recipe.settings.studies)
     unfinished: dict[tuple[int, str], list[Job]] = {}
@@ -46,6 +56,25 @@ def train_recipe(recipe: Recipe, folders: Folders, runs: Path, threads: int) -> 
             unfinished.setdefault((step, "" if device == "cuda" else job.name), []).append(job)
     for jobs in unfinished.values():
         train(recordings, jobs, runs, device)
+
+
+def _refine_all(recipe: Recipe, folders: Folders, runs: Path, begin_from: Path | None) -> None:
+    studies = recipe.settings.studies
+    recordings = [*folders.to_train_on(studies), *as_other(folders.others(studies))]
+    for job in all_jobs(recipe):
+        if _steps_done(job, runs) < job.settings.steps:
+            refine(recordings, job, _first(job, runs, begin_from), runs)
+
+
+def _first(job: Job, runs: Path, begin_from: Path | None) -> Checkpoint:
+    """Return the network that a job begins from: its checkpoint, or else its model file in `begin_from`."""
+    path = runs / str(job.begins_from) / CHECKPOINT_NAME
+    if path.exists() or begin_from is None:
+        return checkpoint.load(path)
+    if left_out := job.settings.left_out:
+        return checkpoint.restored(fold_path(begin_from, left_out))
+    is_whole = "third" in job.settings.studies
+    return checkpoint.restored(begin_from / (SHIPPED_MODEL if is_whole else FABRIC_MODEL).name)
 
 
 def _steps_done(job: Job, runs: Path) -> int:
@@ -93,6 +122,18 @@ class Trained:
         )
 
 
+@dataclass(frozen=True)
+class Calibration:
+    """Temperatures, and what is added to the logit of `other`; fitted on people held out."""
+
+    temperatures: dict[int, float]
+    shift: float = 0.0
+
+    def of(self, saved: Checkpoint) -> Checkpoint:
+        """Return a network with the shift."""
+        return saved.shifted(OTHER, self.shift) if self.shift else saved
+
+
 def export_recipe(recipe: Recipe, folders: Folders, runs: Path, weights: Path) -> list[Path]:
     """Export the shipped network, and one file per further seed, fold and left-out study; return the paths.
 
@@ -111,8 +152,9 @@ def _export_folds(trained: Trained, weights: Path) -> list[Path]:
     for fold, own in zip(trained.folds, trained.answers, strict=True):
         path = fold_path(weights, fold.settings.left_out)
         name = f"{trained.recipe.name}-{fold_name(fold.settings.left_out)}"
-        temperatures = _temperatures([answer for answer in trained.answers if answer is not own])
-        _export(fold, name, trained.learnt, temperatures, calibrate.accuracies(own), path)
+        fitted = _calibrated(trained.recipe, [answer for answer in trained.answers if answer is not own])
+        accuracies = calibrate.accuracies(_shifted(own, fold.labels, fitted.shift))
+        _export(fitted.of(fold), name, trained.learnt, fitted.temperatures, accuracies, path)
         written.append(path)
     return written
 
@@ -123,24 +165,33 @@ def _export_left_out_study(trained: Trained, weights: Path) -> list[Path]:
         saved = finished(job, trained.runs)
         path = weights / FABRIC_MODEL.name
         met = [study in saved.settings.studies for study in trained.learnt]
-        known = _temperatures([list(compress(answer, met)) for answer in trained.answers])
-        _export(saved, f"{trained.recipe.name}-fabric", trained.learnt, known, {}, path)
+        fitted = _calibrated(trained.recipe, [list(compress(answer, met)) for answer in trained.answers], met)
+        name = f"{trained.recipe.name}-fabric"
+        _export(fitted.of(saved), name, trained.learnt, fitted.temperatures, {}, path)
         written.append(path)
     return written
 
 
 def _export_final(trained: Trained, weights: Path) -> list[Path]:
     recipe, answers = trained.recipe, trained.answers
-    accuracies = calibrate.accuracies([answer for fold in answers for answer in fold]) if answers else {}
+    fitted = _calibrated(recipe, answers)
     written = []
     for job in final_jobs(recipe):
-        saved = finished(job, trained.runs)
+        saved = fitted.of(finished(job, trained.runs))
+        held_out = [answer for fold in answers for answer in _shifted(fold, saved.labels, fitted.shift)]
+        accuracies = calibrate.accuracies(held_out) if held_out else {}
         is_shipped = job.settings.seed == recipe.seeds[0]
         further = Path(SEEDS_FOLDER, f"seed{job.settings.seed}.onnx")
         path = weights / (SHIPPED_MODEL.name if is_shipped else further)
-        _export(saved, recipe.name, trained.learnt, _temperatures(answers), accuracies, path)
+        _export(saved, recipe.name, trained.learnt, fitted.temperatures, accuracies, path)
         written += [path, *(_export_beside(saved, trained.folders, path) if is_shipped else ())]
     return written
+
+
+def _shifted(
+    answers: Sequence[calibrate.Answers], labels: Sequence[str], shift: float
+) -> list[calibrate.Answers]:
+    return [calibrate.shifted(answer, labels, shift) for answer in answers]
 
 
 def _export_beside(saved: Checkpoint, folders: Folders, path: Path) -> list[Path]:
@@ -156,17 +207,44 @@ def remember(saved: Checkpoint, folders: Folders) -> Remembered:
     """Return rehearsal statistics of each study that a network learnt from."""
     settings = saved.settings
     backbone, _ = split(saved.build())
-    learnt = [haart.without(folders.to_train_on((study,)), settings.left_out) for study in settings.studies]
+    learnt = [
+        [*haart.without(folders.to_train_on((study,)), settings.left_out), *_others(saved, folders, study)]
+        for study in settings.studies
+    ]
     return statistics(
         [crops(backbone, own, settings.augmentation, REMEMBERED_CROPS, seed=0) for own in learnt]
     )
 
 
-def _temperatures(answers: Sequence[Sequence[calibrate.Answers]]) -> dict[int, float]:
-    """Return temperatures from each fold's answers, one entry per study; without folds they are 1."""
+def _others(saved: Checkpoint, folders: Folders, study: Study) -> list[Recording]:
+    """Return a study's touches that are none of the gestures: recorded, or on fabric made."""
+    if OTHER not in saved.labels:
+        return []
+    if study == "third":
+        return as_other(haart.without(folders.others((study,)), saved.settings.left_out))
+    known = haart.without(folders.to_train_on((study,)), saved.settings.left_out)
+    rests = [recording for recording in known if recording.gesture == NO_TOUCH]
+    rng = np.random.default_rng(saved.settings.seed)
+    return [unknown.on_rest(rng, rests[rng.integers(len(rests))]) for _ in range(REMEMBERED_MADE)]
+
+
+def _calibrated(
+    recipe: Recipe, answers: Sequence[Sequence[calibrate.Answers]], met: Sequence[bool] | None = None
+) -> Calibration:
+    """Return the calibration from each fold's answers, one entry per study; without folds there is none.
+
+    met: which of the recipe's studies the answers are about; None: all.
+    """
     if not answers:
-        return dict.fromkeys(LENGTHS, 1.0)
-    return calibrate.modest(calibrate.fit_temperatures(study) for study in zip(*answers, strict=True))
+        return Calibration(dict.fromkeys(LENGTHS, 1.0))
+    studies, shift = recipe.settings.studies, 0.0
+    if recipe.most_lost is not None:
+        learnt = compress(studies, met or [True] * len(studies))
+        most = [getattr(recipe.most_lost, study) for study in learnt]
+        shift = calibrate.fit_shift([*zip(*answers, strict=True)], haart.LABELS, most)
+        answers = [_shifted(fold, haart.LABELS, shift) for fold in answers]
+    fitted = (calibrate.fit_temperatures(study) for study in zip(*answers, strict=True))
+    return Calibration(calibrate.modest(fitted), shift)
 
 
 def _export(
@@ -222,7 +300,8 @@ def finished(job: Job, runs: Path) -> Checkpoint:
         raise checkpoint.CheckpointError(
             f"{runs / job.name}: stopped after step {saved.step}; run `train` again"
         )
-    if job.begins_from is None or not job.keeps:
+    # What is refined has been saved with its share.
+    if job.begins_from is None or not job.keeps or job.settings.refined is not None:
         return saved
     first = checkpoint.load(runs / job.begins_from / CHECKPOINT_NAME).network
     blended = {name: torch.lerp(own, first[name], job.keeps) for name, own in saved.network.items()}

@@ -37,6 +37,13 @@ class Folders:
             recordings += third_study.read(self.third_study)
         return recordings
 
+    def others(self, studies: tuple[Study, ...]) -> list[Recording]:
+        """Return the third study's recordings of gestures that are none of touchd's, by the study's names."""
+        if "third" not in studies:
+            return []
+        read = third_study.read(self.third_study, third_study.OTHERS)
+        return [recording for recording in read if recording.gesture in third_study.OTHERS]
+
     def to_score_on(self, studies: tuple[Study, ...]) -> dict[Study, list[Recording]]:
         """Return each study's recordings of its training people as they are scored."""
         scored: dict[Study, list[Recording]] = {}

@@ -18,6 +18,8 @@ from touchd.model.training.haart import find
 
 FILE = "recordings.csv"
 PAD = PadFormat(framing="text", rows=6, columns=6)
+OTHERS = ("fist", "karate", "knead", "massage", "pinch", "poke", "twist", "type")
+"""Its gestures that are none of touchd's. Press, tap, drag and slide are too near to them to be either."""
 KEYS = ("recording", "participant", "substrate", "gesture", "seven")
 
 

@@ -87,19 +87,7 @@ class WindowSampler:
 
     def _drawn(self, own: TrainSettings) -> Tensor:
         """Return (R,), the cumulative probability with which a network's windows are cut from a recording."""
-        recorded = Counter(each.participant for each in self.recordings if learns(own, each))
-        people = Counter(study_of(participant) for participant in recorded)
-
-        def share(recording: Recording) -> float:
-            if not learns(own, recording):
-                return 0.0
-            if own.shares is None:
-                return 1.0
-            study = study_of(recording.participant)
-            of_study: float = getattr(own.shares, study)
-            return of_study / people[study] / recorded[recording.participant]
-
-        shares = torch.tensor([share(each) for each in self.recordings], dtype=torch.float64)
+        shares = shares_of(self.recordings, own)
         until = (shares.cumsum(0) / shares.sum()).float()
         # Nothing is drawn after the last recording, whatever the rounding.
         return torch.where(until >= until[-1], 2.0, until)
@@ -136,6 +124,23 @@ class WindowSampler:
         """
         possible: Tensor = ~(soft[..., None] & self.missing) | (targets > 0)
         return possible
+
+
+def shares_of(recordings: Sequence[Recording], own: TrainSettings) -> Tensor:
+    """Return (R,), how often a network's windows are cut from each recording, relative to one another."""
+    recorded = Counter(each.participant for each in recordings if learns(own, each))
+    people = Counter(study_of(participant) for participant in recorded)
+
+    def share(recording: Recording) -> float:
+        if not learns(own, recording):
+            return 0.0
+        if own.shares is None:
+            return 1.0
+        study = study_of(recording.participant)
+        of_study: float = getattr(own.shares, study)
+        return of_study / people[study] / recorded[recording.participant]
+
+    return torch.tensor([share(each) for each in recordings], dtype=torch.float64)
 
 
 def learns(own: TrainSettings, recording: Recording) -> bool:

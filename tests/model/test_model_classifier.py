@@ -26,7 +26,7 @@ from touchd.model.studies.checks.hard_cases import hand
 from touchd.model.studies.checks.stability import chunked
 
 ANY_WINDOW = ("batch", "frames", 8, 8)
-GESTURES = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
+GESTURES = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle", "other")
 
 
 def refusal(path: Path) -> str:
@@ -61,7 +61,7 @@ def test_every_length_up_to_the_longest_is_answered(classifier: Classifier) -> N
     longest = classifier.metadata.max_length
     for length in (*range(1, 20), *LENGTHS, 216, longest):
         probabilities = classifier.probabilities(hand(length))
-        assert probabilities.shape == (7,)
+        assert probabilities.shape == (len(GESTURES),)
         assert probabilities.dtype == np.float64
         assert probabilities.sum() == pytest.approx(1.0, abs=1e-6)
 
@@ -163,7 +163,9 @@ class TestOtherModels:
     def shipped(self) -> Any:
         return self.onnx.load(SHIPPED_MODEL)
 
-    def tiny(self, name: str = "counts", shape: Sequence[object] = ANY_WINDOW, classes: int = 7) -> Any:
+    def tiny(
+        self, name: str = "counts", shape: Sequence[object] = ANY_WINDOW, classes: int = len(GESTURES)
+    ) -> Any:
         """Return a model of one constant with the shipped model's metadata."""
         helper, kind = self.onnx.helper, self.onnx.TensorProto.FLOAT
         constant = helper.make_tensor("even", kind, [1, classes], [1.0 / classes] * classes)
@@ -189,10 +191,10 @@ class TestOtherModels:
     @pytest.mark.parametrize(
         ("values", "shape", "message"),
         [
-            ([float("nan")] * 7, [1, 7], "not probabilities"),
-            ([1.0] * 7, [1, 7], "not probabilities"),
+            ([float("nan")] * 8, [1, 8], "not probabilities"),
+            ([1.0] * 8, [1, 8], "not probabilities"),
             ([1.0], [], "shape ()"),
-            ([1 / 7] * 7, [7], "shape (7,)"),
+            ([1 / 8] * 8, [8], "shape (8,)"),
         ],
         ids=["nan", "too large", "scalar", "rank"],
     )
@@ -242,12 +244,12 @@ class TestOtherModels:
     @pytest.mark.parametrize(
         ("name", "shape", "classes", "message"),
         [
-            ("counts", ["batch", "frames", 10, 10], 7, "not any number of 8x8 taxels' counts"),
-            ("counts", ["batch", "frames", 64], 7, "not any number of 8x8 taxels' counts"),
-            ("pixels", ["batch", "frames", 8, 8], 7, "its inputs are [('pixels'"),
-            ("counts", ["batch", 144, 8, 8], 7, "not any number of 8x8 taxels' counts"),
-            ("counts", [1, "frames", 8, 8], 7, "not any number of 8x8 taxels' counts"),
-            ("counts", ["batch", "frames", 8, 8], 6, "6 outputs for 7 labels; export it again"),
+            ("counts", ["batch", "frames", 10, 10], 8, "not any number of 8x8 taxels' counts"),
+            ("counts", ["batch", "frames", 64], 8, "not any number of 8x8 taxels' counts"),
+            ("pixels", ["batch", "frames", 8, 8], 8, "its inputs are [('pixels'"),
+            ("counts", ["batch", 144, 8, 8], 8, "not any number of 8x8 taxels' counts"),
+            ("counts", [1, "frames", 8, 8], 8, "not any number of 8x8 taxels' counts"),
+            ("counts", ["batch", "frames", 8, 8], 6, "6 outputs for 8 labels; export it again"),
         ],
     )
     def test_another_shape_is_refused(
@@ -260,7 +262,7 @@ class TestOtherModels:
         [
             ({"frame_rate_hz": 100.0}, "made for 100.0 Hz, the pad is read at 54.0 Hz"),
             ({"framing": "published"}, "made for published framing; a pad sends live frames"),
-            ({"labels": ("yes", "no")}, "7 outputs for 2 labels"),
+            ({"labels": ("yes", "no")}, "8 outputs for 2 labels"),
         ],
     )
     def test_a_model_for_another_pad_is_refused(self, changes: dict[str, object], message: str) -> None:

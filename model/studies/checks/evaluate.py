@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from touchd.drivers.frame import OTHER
 from touchd.drivers.recording import Recording
 from touchd.model.classifier import Classifier
 from touchd.model.settings import LENGTHS
@@ -17,7 +18,7 @@ from touchd.model.training import haart, metrics
 
 REPORTED_LENGTHS = (9, 27, 54, 72, 81, 108, 144, 216)
 SCENE = ("constant", "pat", "stroke")
-BATCH = 64
+BATCH = 16
 
 
 class Score(msgspec.Struct, frozen=True, kw_only=True):
@@ -38,7 +39,7 @@ class Score(msgspec.Struct, frozen=True, kw_only=True):
     confusion: list[list[int]]
     """Row: true gesture; column: answer; both in the order of the labels."""
     scene_accuracy: float
-    """Accuracy on windows of SCENE's gestures alone, answered with the likeliest of these."""
+    """Accuracy on windows of SCENE's gestures alone, answered with the likeliest of these and of `other`."""
     scene_unrestricted_accuracy: float
     """The same windows, answered with the likeliest of all gestures."""
 
@@ -94,7 +95,9 @@ def score(split: Split, length: int, disturb: Disturb | None = None, missing: Se
 
     kept = np.array([labels.index(gesture) for gesture in SCENE])
     scene = np.isin(truth, kept)
-    in_scene = kept[probabilities[:, kept].argmax(axis=1)]
+    # A touch that is none of the gestures can occur in every scene.
+    answers = np.array([*kept, *(place for place, label in enumerate(labels) if label == OTHER)])
+    in_scene = answers[probabilities[:, answers].argmax(axis=1)]
     per_class = zip(labels, metrics.class_accuracies(predicted, truth, classes).tolist(), strict=True)
     return Score(
         frames=length,
@@ -102,7 +105,7 @@ def score(split: Split, length: int, disturb: Disturb | None = None, missing: Se
         accuracy=metrics.macro_accuracy(predicted, truth, classes),
         right=float((predicted == truth).mean()),
         interval=metrics.participant_interval(accuracy, participants),
-        per_class={gesture: share for gesture, share in per_class if gesture not in missing},
+        per_class={gesture: share for gesture, share in per_class if gesture not in (*missing, OTHER)},
         per_participant={str(name): accuracy(participants == name) for name in np.unique(participants)},
         per_condition={str(name): accuracy(conditions == name) for name in np.unique(conditions)},
         negative_log_likelihood=metrics.negative_log_likelihood(probabilities, truth),
@@ -116,7 +119,7 @@ def score(split: Split, length: int, disturb: Disturb | None = None, missing: Se
 def answer(
     classifier: Classifier, counts: NDArray[np.uint16] | NDArray[np.float32], disturb: Disturb | None = None
 ) -> NDArray[np.float64]:
-    """Return probabilities (N, 7) for windows (N, L, 8, 8), after `disturb` if there is one."""
+    """Return probabilities (N, labels) for windows (N, L, 8, 8), after `disturb` if there is one."""
     batches = []
     for start in range(0, len(counts), BATCH):
         batch = counts[start : start + BATCH].astype(np.float32)

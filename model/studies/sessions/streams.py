@@ -9,7 +9,7 @@ import csv
 import gzip
 import logging
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import cycle, groupby, islice
 from pathlib import Path
@@ -63,18 +63,20 @@ class Stream:
     touched_s: tuple[float, float] | None
 
 
-def read(folder: Path, rest_counts: int = 0) -> Iterator[Stream]:
+def read(folder: Path, rest_counts: int = 0, others: Collection[str] = ()) -> Iterator[Stream]:
     """Yield the streams of gestures that touchd has a name for; raises RecordingError without the file.
 
     rest_counts: mean offset added to the pad's cells; single cells deviate from it by up to half of it.
+    others: further gestures to read.
     """
+    names = {**NAMES, **{name: name for name in others}}
     path = find(folder, FILE, "name its folder: --third-study")
     with gzip.open(path, "rt", newline="") if path.suffix == ".gz" else path.open(newline="") as file:
         for (_, participant, gesture), group in groupby(
             csv.DictReader(file), lambda row: (row["stream"], row["participant"], row["gesture"])
         ):
-            if gesture in NAMES:
-                yield _stream(participant, NAMES[gesture], list(group), rest_counts)
+            if gesture in names:
+                yield _stream(participant, names[gesture], list(group), rest_counts)
 
 
 def _stream(participant: str, gesture: str, rows: Sequence[dict[str, str]], rest_counts: int) -> Stream:
