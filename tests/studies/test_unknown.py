@@ -14,12 +14,12 @@ import itertools
 
 import torch
 
-from touchd.drivers.fakes.hand import simulate
 from touchd.drivers.frame import MAX_COUNT, OTHER
 from touchd.drivers.recording import Recording
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 from touchd.model.settings import NetworkSettings
 from touchd.model.studies import others
+from touchd.model.studies.simulated import simulate
 from touchd.model.tgc import TGC
 from touchd.model.training import caress, checkpoint, unknown
 from touchd.model.training.calibrate import fit_shift, shifted
