@@ -20,7 +20,7 @@ import numpy as np
 from touchd.daemon.app.config import SceneSettings, SensorSettings, Settings
 from touchd.daemon.path.events import UNCERTAIN, Event, Prediction, TouchBegan, TouchEnded
 from touchd.daemon.path.pipeline import Clock, Pipeline
-from touchd.drivers.frame import NO_TOUCH
+from touchd.drivers.frame import NO_TOUCH, OTHER
 from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.parser import FrameParser
 from touchd.model.classifier import SHIPPED_MODEL, Classifier, load_own
@@ -40,8 +40,8 @@ class StreamScore(msgspec.Struct, frozen=True, kw_only=True):
     """Counts of streams, each of one person and gesture.
 
     touched: streams with a touch; missed: in which none was detected; several: more than one. named: in which
-    the robot was told a gesture; right: the last one told was the right one. rest: streams without a touch;
-    false: in which one was detected.
+    the robot was told a gesture that touchd knows; right: the last one told was the right one. rest: streams
+    without a touch; false: in which one was detected.
     """
 
     touched: int
@@ -142,7 +142,7 @@ def _detected(touched_s: tuple[float, float], events: Sequence[Event]) -> set[in
 
 def _told(events: Sequence[Event], touches: set[int]) -> list[str]:
     answers = [event for event in events if isinstance(event, Prediction) and event.touch in touches]
-    return [answer.gesture for answer in answers if answer.told and answer.gesture != UNCERTAIN]
+    return [answer.gesture for answer in answers if answer.told and answer.gesture not in (UNCERTAIN, OTHER)]
 
 
 def measure(folder: Path, models: dict[str, Classifier] | Classifier, rest_counts: int = 0) -> StreamScore:
