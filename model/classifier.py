@@ -75,7 +75,7 @@ class Classifier:
 
         For a file from elsewhere see `load_own`.
         """
-        session = _open_session(path, threads)
+        session = open_session(path, threads)
         stored = session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)
         if stored is None:
             raise ModelError(
@@ -212,7 +212,7 @@ def _try_out(path: Path, metadata: ModelMetadata, session: onnxruntime.Inference
         raise ModelError(f"{path}: its answers are not probabilities; export it again")
 
 
-def _open_session(path: Path, threads: int) -> onnxruntime.InferenceSession:
+def open_session(path: Path, threads: int) -> onnxruntime.InferenceSession:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1

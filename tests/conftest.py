@@ -43,6 +43,7 @@ signal.signal(signal.SIGHUP, signal.SIG_DFL)
 TRAINING = (
     "test_adapt.py",
     "test_tgc.py",
+    "test_detector.py",
     "test_challenge.py",
     "test_train.py",
     "test_speed.py",

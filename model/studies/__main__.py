@@ -13,6 +13,8 @@ STUDIES = {
     "data": ("studies.making:data", "downloads the HAART recordings, or checks a folder"),
     "train": ("studies.making:train", "trains the networks of a recipe"),
     "export": ("studies.making:export", "calibrates them and writes them as ONNX files"),
+    "detector": ("studies.detection.train", "trains and exports the detectors"),
+    "detection": ("studies.detection.compare", "how well the detectors find touches"),
     "evaluate": ("studies.making:evaluate", "scores the shipped model beside the paper's figures"),
     "stability": ("studies.making:stability", "checks a model's arithmetic on hard cases"),
     "seeds": ("studies.seeds", "scores the recipe with three seeds"),

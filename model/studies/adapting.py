@@ -86,7 +86,7 @@ class PersonFold:
         odds /= odds.sum(axis=1, keepdims=True)
         predicted = odds.argmax(axis=1).astype(np.int64)
         return (
-            metrics.macro_accuracy(predicted, self.truth[chosen], len(haart.LABELS)),
+            metrics.macro_accuracy(predicted, self.truth[chosen], len(haart.GESTURES)),
             metrics.expected_calibration_error(odds, self.truth[chosen]),
         )
 
@@ -105,7 +105,7 @@ class PersonFold:
                 features = crops(
                     pretrained.backbone, shown, pretrained.augmentation, settings.crops, settings.seed
                 )
-                head = fit(start, haart.LABELS, [], features, rehearsed, settings)
+                head = fit(start, haart.GESTURES, [], features, rehearsed, settings)
                 after, error = self.accuracy(head, evaluated)
                 gains = [
                     self.accuracy(head, theirs)[0] - was
@@ -159,7 +159,7 @@ def measure(folders: Folders, runs: Path, settings: AdaptSettings) -> Iterator[T
         remembered = remember(saved, folders)
         pretrained = Pretrained.of(fold_path(SHIPPED_MODEL.parent, left_out), saved.network, remembered)
         fold = PersonFold(pretrained, haart.only(takes, left_out))
-        rehearsed = remembered.samples(haart.LABELS, settings.seed)
+        rehearsed = remembered.samples(haart.GESTURES, settings.seed)
         for name in fold.people:
             if name in FEW:
                 continue

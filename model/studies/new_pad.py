@@ -104,7 +104,7 @@ def people_on_a_new_pad(
     remembered = remember(saved, folders)
     pretrained = Pretrained.of(FABRIC_MODEL, saved.network, remembered)
     recordings = folders.to_train_on(("third",))
-    labels = pretrained.labels
+    labels = haart.GESTURES
     scored = Scored(pretrained, recordings, labels)
     shown = crops(pretrained.backbone, recordings, pretrained.augmentation, settings.crops, settings.seed)
     rehearsed = remembered.samples(labels, settings.seed)
@@ -129,13 +129,13 @@ def two_gestures_more(folders: Folders, runs: Path, settings: AdaptSettings) -> 
     """Yield each fold's figures after adding tap and poke, recorded by the people it was trained on."""
     third = third_study.read(folders.third_study, NEW)
     fabric = folders.to_train_on(("haart", "second"))
-    labels = tuple(sorted({*haart.LABELS, *NEW}))
+    labels = tuple(sorted({*haart.GESTURES, *NEW}))
     for job in fold_jobs(read_recipe()):
         left_out = job.settings.left_out
         saved = checkpoint.load(runs / job.name / CHECKPOINT_NAME)
         remembered = remember(saved, folders)
         pretrained = Pretrained.of(fold_path(SHIPPED_MODEL.parent, left_out), saved.network, remembered)
-        start = rebuilt(pretrained.head, pretrained.labels, labels)
+        start = rebuilt(pretrained.head, haart.GESTURES, labels)
         shown: CropFeatures = crops(
             pretrained.backbone,
             haart.without(third, left_out),

@@ -1,9 +1,9 @@
 """Touches that are none of the gestures: `python -m touchd.model.studies others`.
 
-Recorded ones are the third study's eight other gestures, by people whom the network never saw. Blows and
-squeezes are made here, other than those of the training, on the rest of HAART's test people. Caresses are
-those of the page's hand. All but the windows goes through the daemon's pipeline. With `--firm-pad`, a pad
-that nothing was trained on.
+Recorded ones are the third study's eight other gestures, by people whom the network never saw; each of the
+eight is also held out once. Blows and squeezes are made here, other than those of the training, on the rest
+of HAART's test people. Caresses are those of the page's hand. All but the windows goes through the daemon's
+pipeline. With `--firm-pad`, a pad that nothing was trained on.
 """
 
 import csv

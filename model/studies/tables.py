@@ -7,7 +7,7 @@ Results are stored one by one, so an interrupted run resumes. `--against FILE` p
 
 import logging
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from time import monotonic
@@ -16,8 +16,8 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from touchd.daemon.path.events import TouchBegan, epoch_s
-from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT, NO_TOUCH
+from touchd.daemon.path.events import Event, TouchBegan, epoch_s
+from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT, NO_TOUCH, Counts
 from touchd.drivers.recording import Recording
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 from touchd.model.studies.checks.evaluate import Split
@@ -27,7 +27,7 @@ from touchd.model.studies.results import STORED, Results
 from touchd.model.studies.sessions import changes, firm_pad, passing, streams
 from touchd.model.studies.sessions.plan import SessionSettings, sessions
 from touchd.model.studies.sessions.score import judge, score
-from touchd.model.studies.tracker.measure import spliced
+from touchd.model.studies.tracker.measure import Case, spliced
 from touchd.model.training import haart, second_study, third_study
 from touchd.model.training.weights import FABRIC_MODEL, left_out_split
 
@@ -62,22 +62,31 @@ def passing_figures(split: Split) -> Figures:
 
 def delay_figures(split: Split) -> Figures:
     """Return how long after the first visible pressure a touch is reported, with the rest levelled."""
+    return delays(
+        (case, play(frames_of(case_counts(case)), model))
+        for model, own in split
+        for case in spliced(own, level_rest=True)
+    )
+
+
+def case_counts(case: Case) -> Counts:
+    """Return what the pad reads until the gesture ends."""
+    counts: Counts = np.clip(np.rint(case.scans[: case.stop]), 0, MAX_COUNT).astype(np.uint16)
+    return counts
+
+
+def delays(cases: Iterable[tuple[Case, Sequence[Event]]]) -> Figures:
+    """Return the figures of these cases together."""
     delays_ms: list[float] = []
     missed = touches = 0
-    for model, own in split:
-        for case in spliced(own, level_rest=True):
-            touches += 1
-            counts = np.clip(np.rint(case.scans[: case.stop]), 0, MAX_COUNT).astype(np.uint16)
-            began = [
-                epoch_s(event.time)
-                for event in play(frames_of(counts), model)
-                if isinstance(event, TouchBegan)
-            ]
-            found = [at_s for at_s in began if at_s * FRAME_RATE_HZ >= case.start]
-            missed += not found
-            if found:
-                visible_s = (case.visible_at or case.start) / FRAME_RATE_HZ
-                delays_ms.append(max(0.0, 1000.0 * (found[0] - visible_s)))
+    for case, events in cases:
+        touches += 1
+        began = [epoch_s(event.time) for event in events if isinstance(event, TouchBegan)]
+        found = [at_s for at_s in began if at_s * FRAME_RATE_HZ >= case.start]
+        missed += not found
+        if found:
+            visible_s = (case.visible_at or case.start) / FRAME_RATE_HZ
+            delays_ms.append(max(0.0, 1000.0 * (found[0] - visible_s)))
     median, most = np.quantile(delays_ms, [0.5, 0.9])
     return {
         "touches": touches,

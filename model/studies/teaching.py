@@ -198,7 +198,7 @@ def trials(folders: Folders, runs: Path, settings: AdaptSettings) -> Iterator[Ta
         base = fold_path(Path(__file__).parents[1] / "weights", left_out)
         remembered = remember(saved, folders)
         pretrained = Pretrained.of(base, saved.network, remembered)
-        rehearsed = remembered.samples(haart.LABELS, settings.seed)
+        rehearsed = remembered.samples(haart.GESTURES, settings.seed)
         unseen = haart.only(takes, left_out)
         for name in tqdm(sorted({each.participant for each in unseen}), desc=job.name):
             own = [each for each in unseen if each.participant == name]

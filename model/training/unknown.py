@@ -268,10 +268,10 @@ def make(rng: Generator, frames: int) -> Floats:
     return made
 
 
-def on_rest(rng: Generator, rest: Recording, maker: Maker = make) -> InPassing:
-    """Return a made touch on a recording at rest, with rest around it; by any maker if none is given."""
+def on_rest(rng: Generator, rest: Recording) -> InPassing:
+    """Return a made touch on a recording at rest, with rest around it."""
     before, frames = 10, WINDOW_FRAMES
-    touch = maker(rng, frames)
+    touch = make(rng, frames)
     over = min(frames, last_frame(touch))
     start = int(rng.integers(max(1, len(rest.counts) - before - frames - AFTER_FRAMES)))
     counts = rest.counts[start : start + before + over + AFTER_FRAMES].astype(np.float64)

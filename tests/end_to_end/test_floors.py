@@ -13,6 +13,8 @@ from rigs.programs import ran
 
 ROOT = Path(__file__).parents[2]
 TRAINING = ROOT / "model" / "training"
+# Not installed yet: the daemon does not use it.
+DETECTOR = ROOT / "model" / "detector"
 STUDIES = ROOT / "model" / "studies"
 
 
@@ -54,7 +56,7 @@ def test_the_studies_stand_above_everything(package: str) -> None:
         names = imports(path)
         if not path.is_relative_to(STUDIES):
             assert not from_package(names, "touchd.model.studies"), path
-            if not path.is_relative_to(TRAINING):
+            if not path.is_relative_to(TRAINING) and not path.is_relative_to(DETECTOR):
                 assert not from_package(names, "touchd.model.training"), path
 
 

@@ -50,7 +50,6 @@ from touchd.model.studies.checks.hard_cases import hand  # noqa: E402
 from touchd.model.studies.checks.reference import Reference  # noqa: E402
 from touchd.model.studies.simulated import simulate  # noqa: E402
 from touchd.model.tgc import TGC  # noqa: E402
-from touchd.model.training import unknown  # noqa: E402
 from touchd.model.training.export import CalibratedTGC  # noqa: E402
 from touchd.model.training.remember import save, statistics  # noqa: E402
 
@@ -377,14 +376,6 @@ def test_a_gesture_without_recordings_is_not_forgotten(pretrained: Pretrained, m
         answers = adapted.head(windows(pretrained.backbone, resting)[144].values).argmax(dim=1)
     assert {adapted.labels[i] for i in answers.tolist()} == {"notouch"}
     assert any("No recording of notouch" in line for line in report_lines(adapted))
-
-
-def test_a_blow_stays_none_of_the_gestures(pretrained: Pretrained, adapted: Adapted) -> None:
-    rng, rest = np.random.default_rng(0), simulated(("A",), 1, ("notouch",))[0]
-    blows = [unknown.on_rest(rng, rest, unknown.blow) for _ in range(20)]
-    values = ended(pretrained.backbone, blows)
-    answered = logits(adapted.head, values, np.ones(len(blows), bool)).argmax(axis=1)
-    assert (answered == adapted.labels.index("other")).mean() > 0.8
 
 
 def test_all_known_gestures_can_be_kept(pretrained: Pretrained, material: Features) -> None:

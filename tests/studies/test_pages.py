@@ -15,9 +15,10 @@ pytest.importorskip("torch", reason="needs the extra `train`")
 
 from touchd.model.adapt.head import AdaptSettings
 from touchd.model.classifier import SHIPPED_MODEL
-from touchd.model.studies import accuracy, adapting, decision, new_pad, others, paper, speed
+from touchd.model.studies import accuracy, adapting, decision, new_pad, paper, speed
 from touchd.model.studies.challenge import table as challenge
 from touchd.model.studies.checks.scores import read_scores
+from touchd.model.studies.detection import compare as detection
 from touchd.model.studies.marked import PLACE, PageError, fill, table
 from touchd.model.studies.results import Results, ResultsError
 from touchd.model.studies.sessions import constants, passing
@@ -35,10 +36,7 @@ def stored(path: Path, kind: Any) -> Any:
 
 Tables = Callable[[], dict[str, str]]
 PAGES: dict[str, Tables] = {
-    "accuracy": lambda: {
-        **accuracy.tables(read_scores(SHIPPED_MODEL.with_name(SCORES_NAME))),
-        **others.tables(stored(others.FILE, others.Measured)),
-    },
+    "accuracy": lambda: accuracy.tables(read_scores(SHIPPED_MODEL.with_name(SCORES_NAME))),
     "adapt": lambda: {
         **adapting.tables(stored(adapting.FILE, adapting.Measured)),
         **new_pad.tables(stored(new_pad.FILE, new_pad.Measured)),
@@ -56,6 +54,7 @@ PAGES: dict[str, Tables] = {
         **tracker.tables(stored(tracker.FILE, TouchReport)),
         **passing.tables(stored(passing.FILE, passing.Measured)),
         **constants.tables(Results(constants.FILE)),
+        **detection.page_tables(Results(detection.FILE)),
     },
 }
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from touchd.daemon.app.config import SensorSettings, Settings
 from touchd.daemon.path.events import Event, epoch_s
 from touchd.daemon.path.pipeline import Clock, Pipeline
+from touchd.drivers.frame import Frame
 from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.parser import FrameParser
 from touchd.model.classifier import Classifier
@@ -28,6 +29,7 @@ from touchd.model.training.haart import find
 
 FILE = "streams.csv"
 ROWS, COLUMNS = 19, 27
+PAD = PadFormat(framing="text", rows=ROWS, columns=COLUMNS, skip=1, clock="ms", full_scale=1023)
 START_MS = 5000
 # Above the recording's own rest, 10th percentile: counts of a cell, and of the sum, that a hand makes.
 CELL_COUNTS, LEAST_ON_COUNTS, LEAST_OFF_COUNTS, LEAST_SPAN_COUNTS = 3, 800, 300, 1000
@@ -110,24 +112,29 @@ def truth(stream: FirmStream, hz: float) -> tuple[list[Span], list[Span]]:
 
 def play(stream: FirmStream, model: Classifier, hz: float, rate_hz: float) -> list[Event]:
     """Return the events of a recording that ran at `hz`, sent at `rate_hz`; its first line is at 0 s."""
+    events: list[Event] = []
+    now_s = 0.0
+    settings = Settings(sensor=SensorSettings(format=PAD))
+    pipeline = Pipeline(settings.pipeline, model, events.append, Clock(lambda: now_s, lambda: now_s))
+    for frame in frames_of(stream, hz, rate_hz):
+        now_s = frame.host_s
+        pipeline.on_frame(frame)
+    return events
+
+
+def frames_of(stream: FirmStream, hz: float, rate_hz: float) -> Iterator[Frame]:
+    """Yield the frames that the daemon's parser finds in such a recording."""
     count = int((len(stream.frames) - 1) * rate_hz / hz)
     at = np.arange(count) * hz / rate_hz
     low = at.astype(int)
     share = (at - low)[:, None, None]
     high = stream.frames[np.minimum(low + 1, len(stream.frames) - 1)]
     laid = np.rint(stream.frames[low] * (1 - share) + high * share).astype(int)
-    pad = PadFormat(framing="text", rows=ROWS, columns=COLUMNS, skip=1, clock="ms", full_scale=1023)
-    events: list[Event] = []
-    now_s = 0.0
-    settings = Settings(sensor=SensorSettings(format=pad))
-    pipeline = Pipeline(settings.pipeline, model, events.append, Clock(lambda: now_s, lambda: now_s))
-    parser = FrameParser(pad)
+    parser = FrameParser(PAD)
     for i, cells in enumerate(laid):
         now_s = i / rate_hz
         line = ",".join(map(str, [START_MS + round(1000 * now_s), *cells.ravel()]))
-        for frame in parser.feed(f"{line}\n".encode(), now_s):
-            pipeline.on_frame(frame)
-    return events
+        yield from parser.feed(f"{line}\n".encode(), now_s)
 
 
 def score(stream: FirmStream, events: Sequence[Event], hz: float) -> FirmScore:

@@ -20,7 +20,7 @@ import numpy as np
 from touchd.daemon.app.config import SceneSettings, SensorSettings, Settings
 from touchd.daemon.path.events import UNCERTAIN, Event, Prediction, TouchBegan, TouchEnded
 from touchd.daemon.path.pipeline import Clock, Pipeline
-from touchd.drivers.frame import NO_TOUCH, OTHER
+from touchd.drivers.frame import NO_TOUCH, Frame
 from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.parser import FrameParser
 from touchd.model.classifier import SHIPPED_MODEL, Classifier, load_own
@@ -40,8 +40,8 @@ class StreamScore(msgspec.Struct, frozen=True, kw_only=True):
     """Counts of streams, each of one person and gesture.
 
     touched: streams with a touch; missed: in which none was detected; several: more than one. named: in which
-    the robot was told a gesture that touchd knows; right: the last one told was the right one. rest: streams
-    without a touch; false: in which one was detected.
+    the robot was told a gesture; right: the last one told was the right one. rest: streams without a touch;
+    false: in which one was detected.
     """
 
     touched: int
@@ -106,12 +106,18 @@ def play(stream: Stream, model: Classifier) -> list[Event]:
     events: list[Event] = []
     now_s = 0.0
     pipeline = Pipeline(settings.pipeline, model, events.append, Clock(lambda: now_s, lambda: now_s))
-    parser = FrameParser(PAD)
-    for now_s, line in stream.lines:
-        for frame in parser.feed(line, now_s):
-            pipeline.on_frame(frame)
+    for frame in frames_of(stream):
+        now_s = frame.host_s
+        pipeline.on_frame(frame)
     pipeline.flush()
     return events
+
+
+def frames_of(stream: Stream) -> Iterator[Frame]:
+    """Yield a stream's frames as the daemon's parser finds them."""
+    parser = FrameParser(PAD)
+    for now_s, line in stream.lines:
+        yield from parser.feed(line, now_s)
 
 
 def score(played: Sequence[tuple[Stream, Sequence[Event]]]) -> StreamScore:
@@ -142,7 +148,7 @@ def _detected(touched_s: tuple[float, float], events: Sequence[Event]) -> set[in
 
 def _told(events: Sequence[Event], touches: set[int]) -> list[str]:
     answers = [event for event in events if isinstance(event, Prediction) and event.touch in touches]
-    return [answer.gesture for answer in answers if answer.told and answer.gesture not in (UNCERTAIN, OTHER)]
+    return [answer.gesture for answer in answers if answer.told and answer.gesture != UNCERTAIN]
 
 
 def measure(folder: Path, models: dict[str, Classifier] | Classifier, rest_counts: int = 0) -> StreamScore:

@@ -1,0 +1,1 @@
+"""The detector: a small network that says, frame by frame, whether a hand is on the pad."""

@@ -1,0 +1,90 @@
+"""The detector as the daemon runs it: one frame at a time; the caller keeps the state."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import msgspec
+import numpy as np
+import onnxruntime
+from numpy.typing import NDArray
+
+from touchd.model.classifier import ModelError, open_session
+
+SHIPPED_DETECTOR = Path(__file__).parents[1] / "weights" / "detector" / "detector.onnx"
+METADATA_KEY = "touchd-detector"
+STATES = ("levels", "noise", "peak", "hidden")
+STEP_DEVIATIONS = 1.128
+LEAST_NOISE_COUNTS = 0.5
+NOW_TOUCHED, NOW_UNTOUCHED = np.ones((1, 1), np.float32), np.zeros((1, 1), np.float32)
+
+DetectorState: TypeAlias = Mapping[str, NDArray[np.float32]]
+"""What is known of the pad before a frame, by the names of STATES: see `signals.Pad`."""
+
+
+@dataclass(frozen=True)
+class Detector:
+    """Says how likely it is that a hand is on the pad. width: of its memory."""
+
+    session: onnxruntime.InferenceSession
+    width: int
+    left_out: frozenset[str]
+    """People from whom it did not learn."""
+
+    @classmethod
+    def load(cls, path: Path = SHIPPED_DETECTOR) -> "Detector":
+        """Load an exported detector; raises ModelError if it is missing, damaged or not a detector."""
+        session = open_session(path, 1)
+        stored = session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)
+        if stored is None:
+            raise ModelError(f"{path}: not a detector of touchd; install touchd again")
+        widths = {entry.name: entry.shape[1] for entry in session.get_inputs()}
+        settings = msgspec.json.decode(stored, type=dict[str, Any])
+        return cls(session, widths["hidden"], frozenset(settings["left_out"]))
+
+    def begin(self, frames: NDArray[np.float32]) -> DetectorState:
+        """Return the state after (T, 64) counts of a pad that nobody touches."""
+        rest = median(frames)
+        noise = np.abs(frames[1:] - frames[:-1]).mean(axis=0) / np.float32(STEP_DEVIATIONS)
+        return {
+            "levels": np.stack([rest, frames[-1], rest])[np.newaxis],
+            "noise": np.maximum(noise, np.float32(LEAST_NOISE_COUNTS))[np.newaxis, np.newaxis],
+            "peak": np.zeros((1, 1), np.float32),
+            "hidden": np.zeros((1, self.width), np.float32),
+        }
+
+    def step(
+        self, counts: NDArray[np.float32], state: DetectorState, *, is_touch: bool
+    ) -> tuple[float, DetectorState]:
+        """Return the probability that a hand is on the pad in a frame, (64,) counts, and the next state.
+
+        is_touch: whether a touch goes on; rest and noise then stay as they are.
+        """
+        now = {
+            "counts": counts[np.newaxis, np.newaxis],
+            "is_touch": NOW_TOUCHED if is_touch else NOW_UNTOUCHED,
+        }
+        probability, *after = self.session.run(None, {**now, **state})
+        return probability.item(), dict(zip(STATES, after, strict=True))
+
+
+def at_rest(state: DetectorState, frames: NDArray[np.float32]) -> DetectorState:
+    """Return the state with (T, 64) counts of an untouched pad as its rest."""
+    levels = state["levels"].copy()
+    levels[0, 0] = median(frames)
+    return {**state, "levels": levels}
+
+
+def after_gap(state: DetectorState, counts: NDArray[np.float32]) -> DetectorState:
+    """Return the state before (64,) counts that are not the next frame: the step to them is no movement."""
+    levels = state["levels"].copy()
+    levels[0, 1:] = counts
+    return {**state, "levels": levels}
+
+
+def median(frames: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the lower median (64,) of (T, 64) counts."""
+    # np.median would import numpy.ma, which stalls the loop for 20 ms.
+    ordered: NDArray[np.float32] = np.sort(frames, axis=0)
+    return np.asarray(ordered[(len(frames) - 1) // 2])

@@ -1,0 +1,1 @@
+"""Touches detected by a network, beside the daemon's rules."""

@@ -1,0 +1,239 @@
+"""When a touch begins and ends, by the detector: what the daemon's tracker is to become.
+
+A small network, the detector, says of each frame how likely it is that a hand is on the pad. The tracker is
+in one of three states:
+
+measuring rest: half a second of frames without a gap shows the untouched pad; then quiet.
+quiet: rest and noise follow the pad. Some frames in which a hand is likely, or one in which it is sure,
+    begin a touch.
+touched: rest and noise stay. The touch ends after `quiet_s` in which no hand is likely; if a hand is doubtful
+    for as long, the classifier is asked. What the pad then reads is its new rest.
+
+A gap in the frames ends a touch. After a long gap, or with another sensor, rest is measured again. A load
+that keeps still for ten seconds is no hand, and becomes rest.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Literal, TypeAlias
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.daemon.path.events import EndReason
+from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
+from touchd.drivers.pad.grid import GridFrame
+from touchd.model.detector.detector import Detector, DetectorState, after_gap, at_rest
+from touchd.model.detector.hysteresis import BEGIN_FRAMES, GOES_ON, REST_FRAMES, SURE, TOUCH
+
+TAXELS = ROWS * COLUMNS
+SECOND_FRAMES = 2 * REST_FRAMES
+# After a longer gap, rest is measured again: it may be another pad.
+CHANGED_AFTER_MS = 2000.0
+# A taxel is still if its mean of half a second differs from that before by at most as many counts, or as
+# large a share of its load: a jacket laid on the pad settles so, a resting hand does not.
+STILL_COUNTS, STILL_SHARE = 1.0, 0.03
+SETTLED_FRAMES = round(10 * FRAME_RATE_HZ)
+LONGEST_FRAMES = round(600 * FRAME_RATE_HZ)
+# The classifier's probability of no touch that ends a doubtful touch.
+NO_HAND = 0.5
+SENSITIVITIES = {"low": 0.9, "normal": TOUCH, "high": 0.4}
+"""The probability above which a touch begins."""
+
+Taxels = NDArray[np.float32]
+Sensitivity: TypeAlias = Literal["low", "normal", "high"]
+Question: TypeAlias = Callable[[NDArray[np.float32], Taxels], float]
+"""The classifier's probability that nothing touches a pad in (T, 8, 8) counts that rests at (64,) counts."""
+
+
+class TouchSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """When a touch begins and ends.
+
+    sensitivity: high detects lighter touches and more false ones (docs/sessions.md). quiet_s: seconds without
+    a hand that end a touch; longer than the lift-off between two strokes.
+    """
+
+    sensitivity: Sensitivity = "normal"
+    quiet_s: Annotated[float, msgspec.Meta(ge=0.1, le=5.0)] = 0.8
+
+
+@dataclass(frozen=True, slots=True)
+class Onset:
+    """A touch was detected; first_index is the grid frame at which it truly began."""
+
+    first_index: int
+
+
+@dataclass(frozen=True, slots=True)
+class Release:
+    """The touch is over; first_index and last_index are its first and last grid frame with a hand."""
+
+    first_index: int
+    last_index: int
+    reason: EndReason
+
+
+@dataclass(slots=True)
+class MeasuringRest:
+    """Rest is not known yet; frames: how many in a row there are."""
+
+    frames: int = 0
+
+
+@dataclass(slots=True)
+class Quiet:
+    """No hand is on the pad.
+
+    since: the first frame. unlikely_index: the last frame in which no hand was likely. likely: for how many
+    frames one has been.
+    """
+
+    since: int
+    unlikely_index: int
+    likely: int = 0
+
+
+@dataclass(slots=True)
+class Touched:
+    """An ongoing touch.
+
+    first, last: the first frame, and the last in which a hand is likely enough to go on. last_likely: the
+    last in which it would begin a touch. still_frames: for how long the load has kept still. level: (64,),
+    the mean of the half second that was checked last.
+    """
+
+    first: int
+    last: int
+    last_likely: int
+    still_frames: int = 0
+    level: Taxels | None = None
+
+
+Change: TypeAlias = Onset | Release | None
+
+
+class TouchTracker:
+    """Takes the pad's frames one by one and returns where touches begin and end.
+
+    p_no_touch: asks the classifier; None if it does not know "notouch".
+    """
+
+    def __init__(
+        self, settings: TouchSettings, detector: Detector, p_no_touch: Question | None = None
+    ) -> None:
+        self._begins_above = SENSITIVITIES[settings.sensitivity]
+        self._quiet_frames = round(settings.quiet_s * FRAME_RATE_HZ)
+        self._detector, self._p_no_touch = detector, p_no_touch
+        self._known: DetectorState = detector.begin(np.zeros((2, TAXELS), np.float32))
+        self._recent = np.zeros((SECOND_FRAMES, TAXELS), np.float32)
+        self._state: MeasuringRest | Quiet | Touched = MeasuringRest()
+        self._index, self._sensor_ms = -1, 0.0
+
+    @property
+    def rest(self) -> Taxels:
+        """What each of the 64 taxels reads untouched, in counts; it stays during a touch."""
+        return np.asarray(self._known["levels"][0, 0])
+
+    @property
+    def noise(self) -> Taxels:
+        """Standard deviation of each of the 64 taxels at rest, in counts."""
+        return np.asarray(self._known["noise"][0, 0])
+
+    @property
+    def is_untouched(self) -> bool:
+        """Whether no hand has been on the pad for two seconds."""
+        return isinstance(self._state, Quiet) and self._index - self._state.since >= 2 * SECOND_FRAMES
+
+    @property
+    def last_contact_index(self) -> int:
+        """The current touch's last grid frame with a hand."""
+        return self._state.last if isinstance(self._state, Touched) else self._index
+
+    def update(self, frame: GridFrame) -> Change:
+        """Take the next grid frame; return the touch that it begins or ends."""
+        counts = frame.pressure.reshape(TAXELS)
+        release = self._restart(frame, counts) if frame.restarted else None
+        self._index, self._sensor_ms = frame.index, frame.sensor_ms
+        self._recent[:-1] = self._recent[1:]
+        self._recent[-1] = counts
+        state = self._state
+        if isinstance(state, MeasuringRest):
+            state.frames += 1
+            if state.frames == REST_FRAMES:
+                self._known = self._detector.begin(self._recent[-REST_FRAMES:])
+                self._state = Quiet(self._index, self._index)
+            return release
+        is_touch = isinstance(state, Touched)
+        probability, self._known = self._detector.step(counts, self._known, is_touch=is_touch)
+        if isinstance(state, Quiet):
+            return self._watch(state, probability) or release
+        return self._hold(state, probability)
+
+    def forget(self, reason: EndReason) -> Release | None:
+        """End the touch, if one goes on, and measure rest again: it may be another pad."""
+        release = self._end(self._state, reason) if isinstance(self._state, Touched) else None
+        self._state = MeasuringRest()
+        return release
+
+    def _restart(self, frame: GridFrame, counts: Taxels) -> Release | None:
+        """End the touch at a gap in the frames; measure rest again after a long one."""
+        release = self._end(self._state, "gap") if isinstance(self._state, Touched) else None
+        if (
+            isinstance(self._state, MeasuringRest)
+            or not 0 < frame.sensor_ms - self._sensor_ms <= CHANGED_AFTER_MS
+        ):
+            self._state = MeasuringRest()
+        else:
+            self._known = after_gap(self._known, counts)
+        return release
+
+    def _watch(self, quiet: Quiet, probability: float) -> Onset | None:
+        quiet.likely = quiet.likely + 1 if probability > self._begins_above else 0
+        if probability <= GOES_ON:
+            quiet.unlikely_index = self._index
+        if quiet.likely < BEGIN_FRAMES and probability <= SURE:
+            return None
+        first = max(quiet.unlikely_index + 1, self._index - SECOND_FRAMES)
+        self._state = Touched(first, self._index, self._index)
+        return Onset(first)
+
+    def _hold(self, touch: Touched, probability: float) -> Release | None:
+        if probability > GOES_ON:
+            touch.last = self._index
+        if probability > self._begins_above:
+            touch.last_likely = self._index
+        if self._index - touch.last >= self._quiet_frames:
+            return self._end(touch, "released")
+        doubtful_frames = self._index - touch.last_likely
+        if doubtful_frames and doubtful_frames % self._quiet_frames == 0 and self._is_left():
+            touch.last = touch.last_likely
+            return self._end(touch, "released")
+        if self._has_settled(touch):
+            return self._end(touch, "settled")
+        return self._end(touch, "longest") if self._index - touch.first >= LONGEST_FRAMES else None
+
+    def _is_left(self) -> bool:
+        """Ask the classifier whether the hand has left."""
+        if self._p_no_touch is None:
+            return False
+        asked = self._recent[-min(self._quiet_frames, SECOND_FRAMES) :].reshape(-1, ROWS, COLUMNS)
+        return self._p_no_touch(asked, self.rest) >= NO_HAND
+
+    def _has_settled(self, touch: Touched) -> bool:
+        """Whether the load has kept still for ten seconds, looking every half second."""
+        if (self._index - touch.first) % REST_FRAMES:
+            return False
+        level = self._recent[-REST_FRAMES:].mean(axis=0)
+        if touch.level is not None:
+            allowed = np.maximum(STILL_SHARE * (level - self.rest), np.maximum(STILL_COUNTS, self.noise))
+            is_still = bool((np.abs(level - touch.level) <= allowed).all())
+            touch.still_frames = touch.still_frames + REST_FRAMES if is_still else 0
+        touch.level = level
+        return touch.still_frames >= SETTLED_FRAMES
+
+    def _end(self, touch: Touched, reason: EndReason) -> Release:
+        """End the touch; what the pad reads now is its rest."""
+        self._known = at_rest(self._known, self._recent[-REST_FRAMES:])
+        self._state = Quiet(self._index, self._index)
+        return Release(touch.first, touch.last, reason)

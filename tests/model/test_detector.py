@@ -1,0 +1,77 @@
+"""The learned detector: its file answers as the network does, and finds hands on a made pad."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rigs.made_pad import MadePad, Scans, nothing, palm
+
+pytest.importorskip("torch", reason="needs the extra `train`")
+
+import torch
+
+from touchd.drivers.frame import NO_TOUCH, Frame
+from touchd.drivers.recording import Recording, ideal_clock_ms
+from touchd.model.detector import signals
+from touchd.model.detector.detector import Detector
+from touchd.model.detector.export import export
+from touchd.model.detector.network import DetectorNetwork
+from touchd.model.detector.pieces import PIECE_FRAMES, Composer, set_ups
+from touchd.model.studies.detection.compare import detect
+from touchd.model.studies.play import frames_of
+
+HANDS: dict[str, tuple[Scans, int]] = {
+    "nothing": (nothing(20.0), 0),
+    "a firm hand": (np.concatenate([palm(2.0, 60.0), nothing(3.0)]), 1),
+    "two hands": (np.concatenate([palm(1.0, 60.0), nothing(2.0), palm(1.0, 60.0), nothing(3.0)]), 2),
+    "a light hand": (np.concatenate([palm(2.0, 12.0), nothing(3.0)]), 1),
+}
+
+
+@pytest.mark.parametrize("name", HANDS)
+def test_a_hand_on_a_made_pad_is_one_touch(name: str) -> None:
+    scans, touches = HANDS[name]
+    counts = MadePad().counts(np.concatenate([nothing(2.0), scans]))
+    frames: list[Frame] = list(frames_of(counts))
+    events = detect(frames, Detector.load(), lambda _frames, _rest: 0.0)
+    assert [event.touch for event in events] == sorted([*range(1, touches + 1)] * 2)
+
+
+def test_the_file_answers_as_the_network(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    network = DetectorNetwork().eval()
+    export(network, {"left_out": []}, tmp_path / "detector.onnx")
+    detector = Detector.load(tmp_path / "detector.onnx")
+    frames = MadePad().counts(np.concatenate([nothing(0.5), palm(0.5, 40.0)])).reshape(-1, 64)
+    counts = frames.astype(np.float32)
+    state = detector.begin(counts[:27])
+    pad, hidden = signals.begin(torch.from_numpy(counts[:27])[None]), torch.zeros(1, detector.width)
+    for row in counts[27:]:
+        answer, state = detector.step(row, state, is_touch=False)
+        with torch.no_grad():
+            wanted, pad, hidden = network.step(
+                torch.from_numpy(row)[None, None], pad, hidden, torch.zeros(1, 1)
+            )
+        assert answer == pytest.approx(float(wanted), abs=1e-5)
+
+
+def recording(gesture: str, scans: Scans) -> Recording:
+    counts = MadePad().counts(scans)
+    return Recording("P1", "foam", "none", gesture, counts, ideal_clock_ms(len(counts)), "live")
+
+
+def test_a_piece_has_rest_touches_and_their_truth() -> None:
+    made = set_ups([recording(NO_TOUCH, nothing(8.0)), recording("rub", palm(8.0, 60.0))])
+    pieces = [Composer([made], [], seed).piece() for seed in range(20)]
+    assert all(piece.counts.shape == (PIECE_FRAMES, 64) for piece in pieces)
+    assert all(piece.counts.min() >= 0 and piece.counts.max() <= 1023 for piece in pieces)
+    touched = [piece for piece in pieces if piece.targets.any()]
+    assert len(touched) > 10
+    # Rest is measured before the first hand comes.
+    assert all(piece.targets[:30].max() == 0 for piece in pieces)
+
+
+def test_the_same_seed_makes_the_same_pieces() -> None:
+    made = set_ups([recording(NO_TOUCH, nothing(8.0)), recording("rub", palm(8.0, 60.0))])
+    one, other = (Composer([made], [], 3).piece() for _ in range(2))
+    np.testing.assert_array_equal(one.counts, other.counts)
