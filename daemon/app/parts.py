@@ -81,7 +81,7 @@ def make_parts(
     for number, (name, pad) in enumerate(settings.pads.items()):
         queue = FrameQueue(filled=arrived)
         sensor = Sensor(pad.sensor.port, pad.sensor.baud, FrameParser(pad.sensor.described), queue)
-        monitor = PadMonitor(name, sensor.parser, sensor.where)
+        monitor = PadMonitor(name, sensor.parser)
         pipeline = Pipeline(pad.pipeline, models[name], emit, None, name, viewers, number, monitor)
         pads.append(PadChannel(name, models[name], queue, sensor, pipeline))
     return _with_sinks(tuple(pads), settings, models, emit)

@@ -31,13 +31,12 @@ from touchd.daemon.doctor.hand import (
     find_without_asking,
     turned_with_a_hand,
 )
-from touchd.daemon.doctor.line import group_of_the_next_login
 from touchd.daemon.doctor.machine import certificate_at, check_robot, find_robot, robot_urls
+from touchd.daemon.doctor.port import LastingName, advice_for, lasting_name, why_no_port
 from touchd.drivers.errors import os_errors_as
 from touchd.drivers.installed import program_name
 from touchd.drivers.numbers import within
 from touchd.drivers.pad.format import PRESETS, PadFormat, as_yaml
-from touchd.drivers.pad.names import LastingName, lasting_name, why_no_port
 from touchd.drivers.pad.port import Line, SensorError, at_baud, open_port
 from touchd.drivers.robot.session import RobotError
 from touchd.drivers.search.listen import USUAL_BAUDS, Chunk, likeliest_baud
@@ -93,8 +92,7 @@ def main(arguments: Sequence[str]) -> int:
     # Without a pad, assume a fabric pad's rate, which is not the first of the usual rates.
     unseen = Found(options.port or DEFAULT_PORT, options.baud or SensorSettings().baud, None)
     port, baud, described = found or unseen
-    # A port that the user typed is written as typed.
-    named = LastingName(port, "as given") if options.port or found is None else lasting_name(port)
+    named = LastingName(port, "as given") if found is None else lasting_name(port)
     robot = _find_robot(console, _ask_robot(console) if options.robot is None else options.robot)
     certificate = certificate_at(robot) if robot and robot.startswith("tcps://") else None
     _write(options.file, named.port, baud, described or PRESETS[FABRIC], robot, certificate)
@@ -172,38 +170,42 @@ def _find(console: Console, ports: Sequence[str], bauds: Sequence[int], grid: Gr
     Raises SensorError if none sends and one is forbidden or busy: the pad may be there.
     """
     unknown: Found | None = None
-    closed: list[SensorError] = []
+    closed: dict[str, SensorError] = {}
     for port in ports:
         try:
             found = _listen(console, port, bauds, grid)
         except (SensorError, OSError) as error:
             if isinstance(error, SensorError) and error.kind in ("denied", "busy"):
-                closed.append(error)
+                closed[port] = error
             else:
                 console.print(str(error), style="yellow")
             continue
         if found is not None and found.described is not None:
             return found
         unknown = unknown or found
-    if unknown is None and closed:
-        if closed[0].kind == "denied" and (advice := group_of_the_next_login()):
-            raise SensorError("denied", f"{closed[0]}; {advice}")
-        raise closed[0]
-    for why in closed:
+    for port, denied in closed.items():
+        why = SensorError(denied.kind, f"{denied}; {advice_for(port, denied)}")
+        if unknown is None:
+            raise why
         console.print(str(why), style="yellow")
     return unknown
 
 
 def _listen(console: Console, port: str, bauds: Sequence[int], grid: Grid | None) -> Found | None:
     """Return the sender at a port, None if there is none; raises SensorError or OSError."""
+    rates = bauds if "://" not in port else bauds[:1]
     tried: list[int] = []
 
     def trying(baud: int) -> None:
         tried.append(baud)
-        console.print(f"listening to {port}{at_baud(port, baud)} ...")
+        count = f" ({len(tried)} of {len(rates)} rates)" if len(rates) > 1 else ""
+        # One line that counts; without a terminal, the first one stays.
+        if console.is_terminal or len(tried) == 1:
+            console.print(f"\rlistening to {port}{at_baud(port, baud)}{count} ...", end="")
 
     with open_port(port, min(bauds)) as opened:
-        baud = likeliest_baud(opened, bauds if "://" not in port else bauds[:1], trying)
+        baud = likeliest_baud(opened, rates, trying)
+        console.print()
         if baud is None:
             return None
         described = _describe(console, opened, f"{port}{at_baud(port, baud)}", tried, grid)

@@ -17,6 +17,7 @@ from touchd.daemon.doctor.values import (
     check_quiet,
     check_rest,
     check_taxels,
+    check_values,
     is_pressed,
 )
 from touchd.drivers.pad.parser import FrameParser
@@ -79,6 +80,7 @@ def _examine_pad(
         else:
             yield Check("rest", "not checked", "measured only while nothing touches the pad")
         yield from check_taxels(sample)
+        yield from check_values(sample, sensor.described.full_scale)
         yield from check_format(sample.chunks, sensor)
         if sample.broke_off:
             return
@@ -90,3 +92,5 @@ def _examine_pad(
         parser = FrameParser(sensor.described)
         pressed = listen(opened, parser, PRESS_S, enough=lambda frame: is_pressed(frame, rest))
         yield check_orientation(pressed, rest, settings)
+        if pressed.frames:
+            yield from check_values(pressed, sensor.described.full_scale)

@@ -1,29 +1,24 @@
 """Checks of the pad's line: port, protocol, damage and frame rate."""
 
-import grp
 import os
-import pwd
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 
 import numpy as np
-from serial.tools.list_ports import comports
 
 from touchd.daemon.app.config import SensorSettings
 from touchd.daemon.doctor.check import Check
 from touchd.daemon.doctor.listening import START_S, Sample, listen
 from touchd.daemon.doctor.machine import service_runs
-from touchd.daemon.path.monitor import MANY_SHARE
+from touchd.daemon.doctor.port import advice_for
+from touchd.daemon.doctor.values import MANY_SHARE
 from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, MIN_RATE_HZ, ROWS
-from touchd.drivers.pad.arrived import is_text, looks_like
 from touchd.drivers.pad.format import PadFormat, as_yaml
-from touchd.drivers.pad.names import why_no_port
 from touchd.drivers.pad.pace import clock_by_ours, pace_of
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import Line, SensorError, at_baud, check_port, forget_waiting, open_port
-from touchd.drivers.pad.why_not import SERIAL_GROUPS
 from touchd.drivers.search.listen import USUAL_BAUDS, Chunk
 from touchd.drivers.search.search import Finding, search
+from touchd.drivers.search.text import is_text, looks_like
 
 TRY_BAUD_S = 0.5
 # The ring resamples any rate from the first on to 54 Hz; answers are best between the other two.
@@ -37,28 +32,10 @@ STOPPED_S = 1.0
 RECENT_BYTES = 32768
 LEAST_FRAMES = 4
 
-ADVICE_FOR_PORT = {
-    "missing": "plug the pad in, or name its port in sensor.port or with --port",
-    "denied": "after that: log out and in again",
-    "busy": "end the other program while the doctor looks",
-    "shared": "end the other program while the doctor looks",
-    "unusable": "name the pad's port in sensor.port or with --port",
-}
 ADVICE_FOR_BYTES = {
     "clock": "flash the pad's firmware again: each frame must carry the milliseconds since its start",
     "damage": "try a shorter cable, another USB port, no hub",
 }
-
-
-def group_of_the_next_login() -> str:
-    """Say that this user is in a group that may open ports, but this session is not yet; "" if not so."""
-    with suppress(KeyError):
-        user, own = pwd.getpwuid(os.geteuid()).pw_name, {os.getegid(), *os.getgroups()}
-        for group in grp.getgrall():
-            if group.gr_name in SERIAL_GROUPS and user in group.gr_mem and group.gr_gid not in own:
-                since = f"{user} is in the group {group.gr_name}, but this session began before that"
-                return f"{since}: log out of the desktop and in again, or restart the computer"
-    return ""
 
 
 def check_opening(sensor: SensorSettings) -> tuple[Check, Line | None]:
@@ -70,12 +47,7 @@ def check_opening(sensor: SensorSettings) -> tuple[Check, Line | None]:
         if error.kind == "busy" and service_runs():
             advice = "to look at the pad too: sudo systemctl stop touchd, and ask the doctor again"
             return Check("port", "not checked", "the service touchd reads it", advice), None
-        advice = (error.kind == "denied" and group_of_the_next_login()) or ADVICE_FOR_PORT[error.kind]
-        if error.kind in ("missing", "unusable"):
-            others = ", ".join(sorted(port.device for port in comports()))
-            advice += f"; there are {others}" if others else "; this machine has no serial port at all"
-            if portless := why_no_port():
-                advice += f"; {portless}"
+        advice = advice_for(sensor.port, error)
         return Check("port", "to do", str(error), advice), None
     device = f" ({os.path.realpath(sensor.port)})" if os.path.islink(sensor.port) else ""
     return Check("port", "ok", f"{sensor.port}{device}, found and permitted"), opened
@@ -97,16 +69,14 @@ def check_protocol(
             return Check("protocol", "warning", found, "set sensor.crop: 0 if no cell is to be left out")
         return Check("protocol", "ok", found)
     if sample.broke_off:
-        # A server's end of a connection says itself what to ask.
-        advice = "" if "://" in sensor.port else "try another cable"
-        return Check("protocol", "to do", sample.broke_off, advice)
+        return Check("protocol", "to do", sample.broke_off, sample.advice)
     data = b"".join(chunk.data for chunk in sample.chunks)
     if not data:
         return Check(
             "protocol",
             "to do",
             f"no data within {START_S:g} s",
-            "is it the pad's port? press the reset button of its board; flash its firmware",
+            "is it the pad's port? press the reset button of its board; unplug it; flash its firmware",
         )
     kind, looks = _why_no_frame(data[-RECENT_BYTES:], described)
     if kind != "format":
@@ -181,7 +151,7 @@ def check_damage(sample: Sample) -> Check:
 def check_rate(sample: Sample) -> Check:
     """Report frame rate, jitter, and the accuracy of the pad's clock."""
     if sample.broke_off:
-        return Check("rate", "to do", sample.broke_off, "try another cable")
+        return Check("rate", "to do", sample.broke_off, sample.advice)
     if sample.ended_s - sample.frames[-1].host_s > STOPPED_S:
         return Check("rate", "to do", "the frames stopped during the check", "try another cable")
     pace = pace_of(sample.frames)

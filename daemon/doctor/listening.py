@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from touchd.daemon.doctor.port import advice_for
 from touchd.drivers.frame import CLOCK_MODULUS, Counts, Frame
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import Line, SensorError, read_waiting
@@ -23,8 +24,9 @@ class Sample:
     """What a pad sent in a while.
 
     frames: in order. damaged: frames refused as damaged after the first intact one. chunks: the bytes,
-    the latest megabyte. ended_s: when listening ended, `time.monotonic()`. broke_off: why the port went away,
-    "" if it did not. has_clock: whether the pad's clock dated the frames.
+    the latest megabyte. ended_s: when listening ended, `time.monotonic()`. broke_off: why the port could not
+    be read on, "" if it could; advice: what to do then. has_clock: whether the pad's clock dated the frames.
+    clipped: the share of frames with values above full scale.
     """
 
     frames: tuple[Frame, ...]
@@ -33,6 +35,8 @@ class Sample:
     ended_s: float
     broke_off: str
     has_clock: bool
+    advice: str = ""
+    clipped: float = 0.0
 
     def counts(self) -> Counts:
         """Return the pressure of all frames, (T, 8, 8) uint16."""
@@ -54,7 +58,7 @@ def listen(
     """
     frames: list[Frame] = []
     chunks: list[Chunk] = []
-    size, broke_off = 0, ""
+    size, broke_off, advice = 0, "", ""
     damaged_before, passed_ms = 0, 0
     now_s = time.monotonic()
     until_s = now_s + start_s
@@ -63,7 +67,7 @@ def listen(
         try:
             data = read_waiting(opened, parser)
         except SensorError as error:
-            broke_off = str(error)
+            broke_off, advice = str(error), advice_for(str(opened.port), error) or "try another cable"
             break
         now_s = time.monotonic()
         arrived = parser.feed(data, now_s)
@@ -83,4 +87,7 @@ def listen(
             frames.append(frame)
             is_enough |= enough(frame)
     damaged = parser.counts.bad - damaged_before if frames else 0
-    return Sample(tuple(frames), damaged, tuple(chunks), now_s, broke_off, parser.dates_frames)
+    clipped = parser.counts.clipped / max(parser.counts.frames, 1)
+    return Sample(
+        tuple(frames), damaged, tuple(chunks), now_s, broke_off, parser.dates_frames, advice, clipped
+    )

@@ -1,12 +1,14 @@
 """Checks of what a pad's values show: rest, noise, taxels, orientation."""
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
 from touchd.daemon.app.config import Settings
-from touchd.daemon.doctor.check import Check
+from touchd.daemon.doctor.check import Check, Verdict
 from touchd.daemon.doctor.listening import Sample
-from touchd.daemon.path.monitor import TaxelFaults
+from touchd.daemon.path.monitor import FAULTS, STILL_S, TaxelFaults, places
 from touchd.daemon.path.tracker.baseline import MAX_DEVIATION_COUNTS
 from touchd.daemon.path.tracker.tracker import Onset, TouchTracker
 from touchd.drivers.frame import COLUMNS, MAX_COUNT, ROWS, Frame
@@ -18,16 +20,22 @@ from touchd.model.classifier import KNOWN_REST_COUNTS
 WRONG_WAY_COUNTS = 0.75 * MAX_COUNT
 LOADED_COUNTS = 50.0
 # How long TaxelFaults needs to distinguish a stuck taxel from a quiet one.
-HEALTH_S = 6.0
+HEALTH_S = STILL_S + 0.5
 PRESSED_COUNTS = 40
-NAMED_TAXELS = 3
+CORNER_ROWS = (0, 1, 6, 7)
 
-ADVICE_FOR: dict[str, str] = {
-    "frozen": "press the reset button of its board; look at the cable between pad and board",
-    "dead line": "look at that wire and its plug",
-    "stuck taxel": "look at the pad there: a thread that came loose, a short?",
-    "saturated": "take the load off the pad; if there is none, look for a short",
-}
+# A vibration of the whole pad: a sine of this amplitude that explains half of what the mean varies, and that
+# the lower quarter of the taxels follows at 0.4 of the upper tenth.
+LEAST_SINE_COUNTS, EXPLAINED, QUARTER_SHARE = 0.5, 0.5, 0.4
+# A loose line steps by this much within a few frames, and back, while the taxels beside it move by a quarter.
+STEP_FRAMES, LEAST_STEP_COUNTS, OTHERS_SHARE = 12, 2.0, 0.25
+# A quarter of the taxels at this count is too heavy a load, or a short.
+SATURATED_COUNT = 1000
+# Values jump if a taxel reads this much more, or less, than in the frames before and after, in a third of
+# all frames.
+JUMP_COUNTS, GARBLED_SHARE = 100, 0.35
+# A line that clips or damages one frame in fifty.
+MANY_SHARE = 0.02
 
 
 def check_rest(sample: Sample, settings: Settings) -> Check:
@@ -40,7 +48,7 @@ def check_rest(sample: Sample, settings: Settings) -> Check:
     # A pad may rest high everywhere, and unevenly; an object raises some taxels far above the median.
     lies = level > LOADED_COUNTS + 2 * np.median(level)
     if lies.any():
-        where = _places(lies)
+        where = places(lies)
         advice = "take it off; if nothing does, look for a short there"
         return Check("rest", "to do", f"{found}: something lies on {where}", advice, figures)
     if level.mean() > KNOWN_REST_COUNTS:
@@ -65,20 +73,86 @@ def check_quiet(sample: Sample, settings: Settings) -> Check:
 
 
 def check_noise(sample: Sample) -> Check:
-    """Report the noise between frames; a touch during the check raises it."""
-    steps = np.diff(sample.counts().astype(np.float64), axis=0)
-    noise = steps.std(axis=0) / np.sqrt(2.0)
+    """Report the noise between frames, and its cause: hum, a loose line, a taxel. A touch raises it."""
+    counts = sample.counts().astype(np.float64)
+    noise = np.diff(counts, axis=0).std(axis=0) / np.sqrt(2.0)
     usual, highest = float(np.median(noise)), float(noise.max())
     figures = {"noise_counts": round(usual, 2), "highest_noise_counts": round(highest, 2)}
     found = f"{usual:.1f} counts a taxel, {highest:.1f} at most"
     loud = noise > MAX_DEVIATION_COUNTS
+    supply = "try another USB port or supply, and a cable away from motors; connect the grounds"
+    if sine := _vibration(counts, sample):
+        verdict: Verdict = "to do" if loud.sum() > ROWS * COLUMNS // 2 else "warning"
+        return Check("noise", verdict, f"{found}: {sine}", supply, figures)
     if loud.sum() > ROWS * COLUMNS // 2:
-        advice = "try another USB port or supply, and a cable away from motors; connect the grounds"
-        return Check("noise", "to do", f"{found}: the whole pad is noisy", advice, figures)
+        return Check("noise", "to do", f"{found}: the whole pad is noisy", supply, figures)
+    if line := _loose_line(counts):
+        advice = "look at that wire and its plug; light touches are missed until it is mended"
+        return Check("noise", "to do", f"{found}: the values of {line} jump together", advice, figures)
     if loud.any():
         advice = "look at the wires there; light touches are missed until they are mended"
-        return Check("noise", "to do", f"{found}: {_places(loud)} is noisy", advice, figures)
+        return Check("noise", "to do", f"{found}: {places(loud)} is noisy", advice, figures)
     return Check("noise", "ok", found, "", figures)
+
+
+def _vibration(counts: NDArray[np.float64], sample: Sample) -> str:
+    """Name the sine that all taxels of (T, 8, 8) counts follow, as mains hum or a motor makes; "" if none."""
+    series = counts.reshape(len(counts), -1)
+    window = np.hanning(len(series))
+    waves = np.fft.rfft((series - series.mean(axis=0)) * window[:, None], axis=0) * 2 / window.sum()
+    common = np.abs(waves.mean(axis=1))
+    # Drift and breathing lie below the fourth line.
+    at = int(common[4:].argmax()) + 4 if len(common) > 4 else 0
+    variance = float(series.mean(axis=1).var())
+    if at == 0 or common[at] < LEAST_SINE_COUNTS or common[at] ** 2 / 2 < EXPLAINED * variance:
+        return ""
+    follows = np.sort((waves[at] / waves[at].mean()).real)
+    if follows[len(follows) // 4] < QUARTER_SHARE * follows[9 * len(follows) // 10]:
+        return ""
+    rate_hz = 1000 * (len(series) - 1) / max(int(steps_ms(sample.frames).sum()), 1)
+    swings = f"all taxels swing together by {common[at]:.1f} counts, at {at * rate_hz / len(series):.0f} Hz"
+    return f"{swings} as sampled: mains hum, or a motor"
+
+
+def _loose_line(counts: NDArray[np.float64]) -> str:
+    """Name the row or column whose taxels jump together and back while the others keep still; "" if none."""
+    kept = np.cumsum(counts, axis=0)
+    smooth = (kept[3:] - kept[:-3]) / 3
+    change = smooth[STEP_FRAMES:] - smooth[:-STEP_FRAMES]
+    if not len(change):
+        return ""
+    lines = np.concatenate([change.mean(axis=2), change.mean(axis=1)], axis=1)
+    jumps = np.abs(lines).max(axis=0)
+    line = int(jumps.argmax())
+    is_on_line = np.zeros((ROWS, COLUMNS), dtype=np.bool_)
+    is_on_line[(line,) if line < ROWS else np.s_[:, line - ROWS]] = True
+    others = np.abs(change[:, ~is_on_line]).mean(axis=1)
+    is_alone = (np.abs(lines[:, line]) >= LEAST_STEP_COUNTS) & (
+        others <= OTHERS_SHARE * np.abs(lines[:, line])
+    )
+    up, down = lines[is_alone, line] > 0, lines[is_alone, line] < 0
+    if not (up.any() and down.any()):
+        return ""
+    return f"row {line + 1}" if line < ROWS else f"column {line - ROWS + 1}"
+
+
+def check_values(sample: Sample, full_scale: float) -> Iterator[Check]:
+    """Report values that no hand makes: at their limit, above full scale, or jumping from frame to frame."""
+    counts = sample.counts().astype(np.int64)
+    if ((counts >= SATURATED_COUNT).mean(axis=(1, 2)) >= 1 / 4).mean() > 1 / 2:
+        found = "a quarter of the pad or more is at its limit"
+        yield Check("values", "to do", found, "take the load off the pad; if there is none, look for a short")
+    before, now, after = counts[:-2], counts[1:-1], counts[2:]
+    there, back = now - before, now - after
+    jump = np.where(there * back > 0, np.minimum(np.abs(there), np.abs(back)), 0)
+    # A jump of less than half of what the taxel reads before and after is noise under a load.
+    is_jump = (jump >= JUMP_COUNTS) & (2 * jump >= np.maximum(before, after))
+    if len(jump) and is_jump.any(axis=(1, 2)).mean() > GARBLED_SHARE:
+        found = "values jump from frame to frame, as no hand makes them"
+        yield Check("values", "to do", found, "is it another format, or a bad line?")
+    if sample.clipped > MANY_SHARE:
+        found = f"values above full_scale {full_scale:g} are cut to it"
+        yield Check("values", "warning", found, "if firm presses do that, set a larger one in sensor.format")
 
 
 def check_taxels(sample: Sample) -> list[Check]:
@@ -97,29 +171,43 @@ def check_taxels(sample: Sample) -> list[Check]:
         found = "no value changed: the pad is silent at rest, or it hangs"
         return [Check("taxels", "warning", found, advice)]
     taxels = TaxelFaults()
-    for frame in sample.frames:
-        taxels.update(frame)
-    if not taxels.faults:
+    taxels.update(sample.frames)
+    if not taxels.found:
         return [Check("taxels", "ok", f"all {ROWS * COLUMNS} are alive")]
-    return [Check("taxels", "to do", what, ADVICE_FOR[kind]) for kind, what in taxels.faults.items()]
+    return [Check("taxels", "to do", what, FAULTS[kind].advice) for kind, what in taxels.found.items()]
 
 
 def is_pressed(frame: Frame, rest: NDArray[np.float64]) -> bool:
-    """Return whether a finger presses the pad in this frame. rest: (8, 8) counts."""
-    return bool((frame.pressure - rest).max() >= PRESSED_COUNTS)
+    """Return whether a finger presses a corner of the pad in this frame. rest: (8, 8) counts."""
+    above = frame.pressure - rest
+    row, column = _place(above)
+    return bool(above.max() >= PRESSED_COUNTS) and row in CORNER_ROWS and column in CORNER_ROWS
+
+
+def _place(above: NDArray[np.float64]) -> tuple[int, int]:
+    """Return the row and the column, from 0, of the highest of (8, 8) counts."""
+    row, column = np.unravel_index(int(above.argmax()), above.shape)
+    return int(row), int(column)
 
 
 def check_orientation(sample: Sample, rest: NDArray[np.float64], settings: Settings) -> Check:
     """Report where a press on the top left corner shows, in the sample's last frame, or that values fall."""
+    again = "run touchd doctor again, and press the corner"
     if sample.broke_off:
-        return Check("orientation", "to do", sample.broke_off, "try another cable")
-    if not sample.frames or not is_pressed(sample.frames[-1], rest):
-        if sample.frames and (rest - sample.counts()).max() >= PRESSED_COUNTS:
+        return Check("orientation", "to do", sample.broke_off, sample.advice)
+    if not sample.frames:
+        return Check("orientation", "not checked", "no frames came", again)
+    if not is_pressed(sample.frames[-1], rest):
+        if (rest - sample.counts()).max() >= PRESSED_COUNTS:
             found = "the values fall where the pad is pressed: upside down"
             return Check("orientation", "to do", found, _turned_over(settings))
-        return Check("orientation", "not checked", "no corner was pressed", "run touchd doctor again")
-    pressure = sample.frames[-1].pressure - rest
-    row, column = np.unravel_index(int(pressure.argmax()), pressure.shape)
+        above = (sample.counts() - rest).max(axis=0)
+        if above.max() < PRESSED_COUNTS:
+            return Check("orientation", "not checked", "no corner was pressed", again)
+        row, column = _place(above)
+        found = f"pressed elsewhere, at row {row + 1} column {column + 1}"
+        return Check("orientation", "not checked", found, again)
+    row, column = _place(sample.frames[-1].pressure - rest)
     found = f"the top left corner is at row {row + 1} column {column + 1}"
     if row < ROWS // 2 and column < COLUMNS // 2:
         return Check("orientation", "ok", found)
@@ -134,11 +222,3 @@ def check_orientation(sample: Sample, rest: NDArray[np.float64], settings: Setti
 def _turned_over(settings: Settings) -> str:
     """Return the advice for a pad that is read upside down."""
     return f"set sensor.invert: {str(not settings.sensor.described.invert).lower()}"
-
-
-def _places(mask: NDArray[np.bool_]) -> str:
-    """Name the first few taxels of a mask (8, 8), counted from 1."""
-    places = np.argwhere(mask)
-    named = ", ".join(f"row {row + 1} column {column + 1}" for row, column in places[:NAMED_TAXELS])
-    more = len(places) - NAMED_TAXELS
-    return f"{named} and {more} more" if more > 0 else named

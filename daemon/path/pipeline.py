@@ -58,11 +58,9 @@ SHOWN_STRIDE_FRAMES = 3  # while there are viewers
 # Frames of a touch given to the network at once. A step of nine frames takes 0.25 ms longer than a step of
 # one; steps of nine take half the processor time of steps of three.
 FEED_FRAMES = 9
-# For how many frames a reader rests while no answer is due, and while nothing touches the pad: a wake-up with
-# cold caches costs more than a frame. The frame before an answer is read half a frame late, so that caches
-# are warm when the next comes: without that, an answer takes a tenth longer.
-TOGETHER_FRAMES, QUIET_TOGETHER_FRAMES = 4, 8
-LATE_FRAMES, LATE_BEFORE = 1.5, 3  # set three frames before an answer, as the reader sees it one later
+# A wake-up with cold caches costs more than a frame, so a quiet pad is read three frames at once; then
+# `touch_began` comes within 60 ms of the frame that shows it.
+QUIET_TOGETHER_FRAMES = 3
 
 Viewers: TypeAlias = Callable[[], Sequence[Callable[[LivePrediction], None]]]
 
@@ -154,24 +152,10 @@ class Pipeline:
         self._monitor = monitor or PadMonitor(pad)
 
     @property
-    def frames_together(self) -> float:
-        """For how many frames' time the reader may rest; a change after the final answer may wait."""
-        touch, soon = self._touch, 2 * TOGETHER_FRAMES  # as many may wait in the queue as are coming
-        if not self._tracker.is_settled(soon) or (touch is not None and touch.waits_until_sure):
-            return 1
-        if touch is None:
-            most = TOGETHER_FRAMES if self._decision_settings.early == "when_sure" else QUIET_TOGETHER_FRAMES
-            return min(most, 1 + self._decision_settings.answer_at_frames[0] // 4)
-        if not touch.due:
-            return TOGETHER_FRAMES
-        # The hand may have left, and the answer to that comes soon.
-        off = touch.off_frames
-        ahead = (touch.due[0][0] - touch.length, LIFT_OFF_FRAMES - off, UNSURE_FRAMES - off)
-        frames = min((each for each in ahead if each >= 0), default=0)
-        if frames > soon:
-            return TOGETHER_FRAMES
-        # At another rate, an answer may already be due in the frame that is read late.
-        return LATE_FRAMES if frames == LATE_BEFORE and self._ring.is_in_step else 1
+    def frames_together(self) -> int:
+        """How many frames the reader may read at once: several of a quiet pad, one of a touched one."""
+        is_quiet = self._touch is None and self._tracker.is_untouched
+        return QUIET_TOGETHER_FRAMES if is_quiet else 1
 
     def on_frame(self, frame: Frame) -> None:
         laid = self._ring.push(frame)
@@ -182,7 +166,6 @@ class Pipeline:
             frame,
             restarted=any(grid_frame.restarted for grid_frame in laid),
             is_untouched=self._tracker.is_untouched,
-            touched_s=self._touch.length / FRAME_RATE_HZ if self._touch else 0.0,
         )
         self._report(state)
 
@@ -221,8 +204,7 @@ class Pipeline:
             if self._touch.off_frames in (LIFT_OFF_FRAMES, UNSURE_FRAMES):
                 self._answer_release(self._touch, frame)
         elif frame.index % CHECK_FRAMES == 0 and self._tracker.is_untouched:
-            is_noisy, loose_lines = self._tracker.baseline.is_disturbed, self._tracker.loose_lines
-            self._monitor.on_rest(is_noisy=is_noisy, loose_lines=loose_lines)
+            self._monitor.on_rest(is_noisy=self._tracker.baseline.is_disturbed)
 
     def _stop(self, reason: EndReason) -> None:
         if (release := self._tracker.forget(reason)) is not None:

@@ -66,8 +66,8 @@ class Service:
         finally:
             self._end()
 
-    def _frames_together(self, pad: PadChannel) -> float:
-        """For how many frames' time a pad's reader may rest: one while somebody is shown them."""
+    def _frames_together(self, pad: PadChannel) -> int:
+        """How many frames a pad's reader may read at once: one while somebody is shown them."""
         is_shown = any(bridge.frames_hz is not None for bridge in self.parts.bridges)
         return 1 if is_shown or self._viewers() else pad.pipeline.frames_together
 

@@ -12,7 +12,7 @@ from touchd.daemon.app.config import Settings
 from touchd.daemon.path.monitor import TaxelFaults
 from touchd.daemon.path.tracker.tracker import Onset, Release, TouchTracker
 from touchd.daemon.record.session import Setting
-from touchd.drivers.frame import CLOCK_MODULUS, MIN_RATE_HZ, NO_TOUCH, Frame, SensorState
+from touchd.drivers.frame import CLOCK_MODULUS, FRAME_RATE_HZ, MIN_RATE_HZ, NO_TOUCH, Frame, SensorState
 from touchd.drivers.pad.grid import Ring
 from touchd.drivers.pad.pace import clock_ms, pace_of
 from touchd.drivers.pad.parser import FrameParser
@@ -96,6 +96,7 @@ class PadReader:
         self._queue = FrameQueue()
         self._sensor = Sensor(sensor.port, sensor.baud, FrameParser(sensor.described), self._queue)
         self._taxels = TaxelFaults()
+        self._block: list[Frame] = []
         self._away = ""
 
     def __enter__(self) -> "PadReader":
@@ -111,7 +112,7 @@ class PadReader:
     @property
     def troubles(self) -> list[str]:
         """Current faults of taxels, in words."""
-        return list(self._taxels.faults.values())
+        return list(self._taxels.found.values())
 
     def await_frame(self, within_s: float) -> str:
         """Drop queued frames and wait for a new one; return why none arrived, "" if one did."""
@@ -140,7 +141,7 @@ class PadReader:
                         raise PadLost("the pad restarted or was disconnected: check its plug")
                     passed_ms += step_ms
                     last = frame
-                    self._taxels.update(frame)
+                    self._check_taxels(frame)
                     yield passed_ms / 1000, frame
                 case SensorState() as state:
                     self._note(state)
@@ -148,6 +149,13 @@ class PadReader:
                         raise PadLost(self._away)
                 case None:
                     raise PadLost(self._away or NO_FRAME)
+
+    def _check_taxels(self, frame: Frame) -> None:
+        """Look for taxels that stand still, a second at a time."""
+        self._block.append(frame)
+        if len(self._block) > FRAME_RATE_HZ:
+            self._taxels.update(self._block)
+            self._block = [frame]
 
     def _note(self, item: Frame | SensorState | None) -> None:
         if isinstance(item, SensorState):

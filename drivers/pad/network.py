@@ -6,7 +6,6 @@ import select
 import socket
 
 from touchd.drivers import hosts
-from touchd.drivers.pad.why_not import ClosedAtOnceError
 
 ADDRESS = re.compile(r"(tcp|udp|socket)://(\[[^\s\]]+\]|[^\s/:?]+)(?::(\d{0,5}))?")
 CONNECT_S = 3.0
@@ -24,6 +23,9 @@ def address_of(port: str) -> tuple[str, str, int] | None:
 
     Raises ValueError for an address that is malformed.
     """
+    port = port.strip()
+    scheme, _, rest = port.partition("://")
+    port = f"{scheme.lower()}://{rest}" if rest else port
     if port.startswith("rfc2217://"):
         # pyserial reads it into a queue that has no limit.
         raise ValueError("not supported; set the server to raw TCP and write tcp://HOST:PORT")
@@ -82,8 +84,10 @@ class NetworkPort:
         self._received = (self._received + data)[:LONGEST_REFUSAL]
 
     def _closed(self) -> ConnectionError:
-        has_sent_more = len(self._received) == LONGEST_REFUSAL
-        return ConnectionResetError() if has_sent_more else ClosedAtOnceError(self._received)
+        if len(self._received) == LONGEST_REFUSAL:
+            return ConnectionResetError(errno.ECONNRESET, "closed the connection")
+        what = repr(self._received.decode(errors="replace").strip()) if self._received else "nothing"
+        return ConnectionAbortedError(errno.ECONNABORTED, f"closed the connection at once; it sent {what}")
 
     def reset_input_buffer(self) -> None:
         while select.select([self._socket], [], [], 0)[0] and (data := self._socket.recv(MAX_BYTES)):

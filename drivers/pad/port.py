@@ -1,4 +1,4 @@
-"""The port of a pad, serial or on the network: opening it, reading it, and why that fails, in one line."""
+"""The port of a pad, serial or on the network: opening and reading it, and its errors in words."""
 
 import contextlib
 import errno
@@ -9,16 +9,35 @@ import select
 import stat
 import termios
 import typing
+from pathlib import Path
 from typing import TypeAlias, Union
 
 import serial
 
+from touchd.drivers.errors import TouchdError
 from touchd.drivers.pad.parser import FrameParser
-from touchd.drivers.pad.why_not import SensorError as SensorError
-from touchd.drivers.pad.why_not import programs_at, shared, why_not_opened, why_not_read
 
 READ_TIMEOUT_S = 0.1
 READ_BYTES = 65536
+DEV = Path("/dev")
+# What an error number means for a port: the kind of fault, and words that follow the port's name.
+FAULTS = {
+    errno.ENOENT: ("missing", "is not there"),
+    errno.ENODEV: ("missing", "is not there"),
+    errno.ENXIO: ("missing", "has no device any more, only its node is left"),
+    errno.EIO: ("missing", "went away: unplugged or switched off?"),
+    errno.ECONNRESET: ("missing", "went away: unplugged or switched off?"),
+    errno.ECONNREFUSED: ("missing", "refuses the connection"),
+    errno.EHOSTUNREACH: ("missing", "cannot be reached"),
+    errno.ENETUNREACH: ("missing", "cannot be reached"),
+    errno.EACCES: ("denied", "may not be opened by this user"),
+    errno.EPERM: ("denied", "may not be opened by this user"),
+    errno.EBUSY: ("busy", "is open in another program"),
+    # What pyserial's lock reports when another program that locks, as touchd does, has the port open.
+    errno.EAGAIN: ("busy", "is open in another program"),
+    errno.EADDRINUSE: ("busy", "is open in another program"),
+    errno.ENOTTY: ("unusable", "is not a serial port: name a device like /dev/ttyACM0"),
+}
 
 if typing.TYPE_CHECKING:
     from touchd.drivers.pad.network import NetworkPort
@@ -26,8 +45,33 @@ if typing.TYPE_CHECKING:
 Line: TypeAlias = Union[serial.Serial, "NetworkPort"]
 
 
-class NothingReadError(Exception):
-    """Bytes had arrived at a port that is still there, and another program read them first."""
+class SensorError(TouchdError):
+    """The port cannot be used; `touchd doctor` says what to do.
+
+    kind: "missing", "denied", "busy", "shared" (another program takes bytes from it) or "unusable".
+    number: the system's, None without one.
+    """
+
+    def __init__(self, kind: str, message: str, number: int | None = None) -> None:
+        super().__init__(message)
+        self.kind = kind
+        self.number = number
+
+
+def sensor_error(port: str, error: Exception) -> SensorError:
+    """Return an error of opening or reading a port in words."""
+    number = error.errno if isinstance(error, OSError) else None
+    words = getattr(error, "strerror", None) or error
+    other = "missing" if isinstance(error, OSError) and "://" in port else "unusable"
+    kind, what = FAULTS.get(number or 0, (other, f"cannot be opened: {words}"))
+    others = ", ".join(other_ports(port)) if kind == "missing" else ""
+    return SensorError(kind, f"{port} {what}{others and f'; there is {others}'}", number)
+
+
+def other_ports(port: str) -> list[str]:
+    """Return the USB serial ports of this computer, other than a port; none for an address."""
+    found = [] if "://" in port else map(str, DEV.glob("tty[AU][CS][MB]*"))
+    return sorted(each for each in found if each != port)
 
 
 def at_baud(port: str, baud: int) -> str:
@@ -56,7 +100,7 @@ def check_port(port: str, baud: int) -> None:
         if not os.access(port, os.R_OK | os.W_OK, effective_ids=True):
             raise PermissionError(errno.EACCES, "permission denied")
     except (OSError, ValueError, re.error) as error:
-        raise why_not_opened(port, error) from error
+        raise sensor_error(port, error) from error
 
 
 def open_port(port: str, baud: int) -> Line:
@@ -69,7 +113,7 @@ def open_port(port: str, baud: int) -> Line:
                 return NetworkPort(port, *address, READ_TIMEOUT_S)
         opened = serial.serial_for_url(port, baudrate=baud, timeout=READ_TIMEOUT_S, exclusive=True)
     except (OSError, ValueError, LookupError, re.error, termios.error) as error:
-        raise why_not_opened(port, error) from error
+        raise sensor_error(port, error) from error
     # The lock above keeps out only programs that lock, too. A pseudo-terminal is left out, because it would
     # stay closed to others if touchd were killed.
     if isinstance(opened, serial.Serial) and not os.path.realpath(port).startswith("/dev/pts/"):
@@ -83,18 +127,17 @@ def open_port(port: str, baud: int) -> Line:
 
 def read_waiting(opened: Line, parser: FrameParser) -> bytes:
     """Return what has arrived, waiting at most 0.1 s for it; raise SensorError when it cannot be read."""
+    port = str(opened.port)
     try:
         if not isinstance(opened, serial.SerialBase):
             return opened.read(is_text=parser.format.framing == "text")
         # pyserial's own read takes five system calls; two are enough.
         if type(opened) is serial.Serial:
-            return _read(opened.fileno())
+            return _read(port, opened.fileno())
         first = opened.read(1)
         return first + opened.read(opened.in_waiting) if first else b""
-    except NothingReadError as error:
-        raise shared(str(opened.port), programs_at(str(opened.port))) from error
     except (OSError, termios.error) as error:
-        raise why_not_read(str(opened.port), error) from error
+        raise _gone(port, error) from error
 
 
 def forget_waiting(opened: Line) -> None:
@@ -102,7 +145,7 @@ def forget_waiting(opened: Line) -> None:
     try:
         opened.reset_input_buffer()
     except (OSError, termios.error) as error:
-        raise why_not_read(str(opened.port), error) from error
+        raise _gone(str(opened.port), error) from error
 
 
 def reads_all(opened: Line) -> bool:
@@ -110,7 +153,14 @@ def reads_all(opened: Line) -> bool:
     return type(opened) is serial.Serial or (not isinstance(opened, serial.SerialBase) and opened.is_stream)
 
 
-def _read(fd: int) -> bytes:
+def _gone(port: str, error: Exception) -> SensorError:
+    """Return an error of reading an opened port: whatever its number, the device or the other end is gone."""
+    if isinstance(error, ConnectionAbortedError):
+        return SensorError("busy", f"{port} {error.strerror}")
+    return sensor_error(port, OSError(errno.EIO, "gone"))
+
+
+def _read(port: str, fd: int) -> bytes:
     """Return what has arrived at a port, waiting at most READ_TIMEOUT_S for it."""
     if not select.select([fd], [], [], READ_TIMEOUT_S)[0]:
         return b""
@@ -122,5 +172,7 @@ def _read(fd: int) -> bytes:
         # A port that is gone is readable, too, and says so.
         hung_up = select.poll()
         hung_up.register(fd, 0)
-        raise OSError(errno.EIO, "hung up") if hung_up.poll(0) else NothingReadError
+        if hung_up.poll(0):
+            raise OSError(errno.EIO, "hung up")
+        raise SensorError("shared", f"{port} is read by another program too, which takes bytes; end it")
     return data

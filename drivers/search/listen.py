@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from touchd.drivers.pad.arrived import is_text
 from touchd.drivers.pad.format import PRESETS
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import Line, forget_waiting, read_waiting
 from touchd.drivers.search.binary import tables
+from touchd.drivers.search.text import is_text
 
 # The usual baud rates, the likeliest first; 512000 is that of the lab's Mega build.
 USUAL_BAUDS = (

@@ -14,7 +14,6 @@ import numpy as np
 from msgspec.structs import replace
 
 from touchd.drivers.frame import MIN_RATE_HZ, Frame
-from touchd.drivers.pad.arrived import has_text, looks_like
 from touchd.drivers.pad.binary import CLOCK_BYTES
 from touchd.drivers.pad.format import LONGEST_SIDE, PRESETS, SHORTEST_SIDE, PadFormat, as_yaml, layout_of
 from touchd.drivers.pad.pace import clock_by_ours
@@ -114,7 +113,7 @@ def search(chunks: Sequence[Chunk], grid: Grid | None) -> Finding:
     data = b"".join(chunk.data for chunk in chunks)
     if not data:
         return Finding(None, "is it the pad's port, and does the pad run?", "nothing arrives")
-    saw = f"{len(data) / seconds_of(chunks):.0f} bytes/s of {looks_like(data)}"
+    saw = f"{len(data) / seconds_of(chunks):.0f} bytes/s of {text.looks_like(data)}"
     # A survey tries every preset, which takes longer than the rest of a search.
     seen = None if grid else survey(chunks)
     grid = grid or (seen.grid if seen and seen.is_shown else None)
@@ -151,7 +150,7 @@ def _fit(chunks: Sequence[Chunk], placed: Placement) -> tuple[float, bool, float
 
 
 def _why_none_fits(data: bytes, seen: Survey | None, grid: Grid | None) -> str:
-    if has_text(data):
+    if text.has_text(data):
         return "print lines of numbers and nothing else"
     if seen is None:
         return f"no frames, or a wrong baud rate: {ADVICE}"

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from touchd.drivers.pad.arrived import is_text
 from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.text import ended_at, lines_in, numbers_in
 from touchd.drivers.search.proof import Numbers, Placement
@@ -19,6 +18,11 @@ MOST_BESIDE = 16
 MOSTLY = 0.9
 # Texts that may end a frame: the most frequent ones. Sketches print two lines of words a frame at most.
 MOST_ENDS = 3
+# The largest share of unprintable characters in text: damage, or another encoding.
+FEW_SHARE = 0.02
+# With more, up to this, it is text with other bytes in it; of random bytes, two thirds are not printable.
+SOME_SHARE = 0.3
+EXCERPT_CHARACTERS, EXCERPT_BYTES = 60, 24
 NO_DIGITS = bytes(set(range(256)) - set(b"0123456789"))
 TextLine = tuple[list[float], str]
 """The number of a line's label (0 without one) and its numbers; and what follows them."""
@@ -30,6 +34,39 @@ class Printed(NamedTuple):
     numbers: Numbers
     skip: int
     end: str
+
+
+def is_text(data: bytes) -> bool:
+    """Whether these bytes are printable text; text is never parsed as binary."""
+    return bool(data) and _odd_share(data) <= FEW_SHARE
+
+
+def has_text(data: bytes) -> bool:
+    """Whether these bytes are lines of text with other bytes in them."""
+    return b"\n" in data and FEW_SHARE < _odd_share(data) <= SOME_SHARE
+
+
+def _odd_share(data: bytes) -> float:
+    """Return the share of characters that are not printable."""
+    counts = Counter(data.decode("utf-8", "replace"))
+    odd = [each for each in counts if not (each.isprintable() or each in "\t\r\n\x1b") or each == "\ufffd"]
+    return sum(counts[each] for each in odd) / max(counts.total(), 1)
+
+
+def looks_like(data: bytes) -> str:
+    """Say what bytes look like, with an excerpt: a line of text, or bytes in hex."""
+    if not data:
+        return "nothing"
+    if not data.strip():
+        return "only empty lines"
+    if has_text(data):
+        return f"text with other bytes in it, such as {data[-EXCERPT_BYTES:]!r}"
+    if not is_text(data):
+        return f"bytes that are not text, such as {data[-EXCERPT_BYTES:].hex(' ')}"
+    lines = data[-4096:].decode("utf-8", "replace").splitlines()
+    line = max(lines[1:-1] or lines, key=len, default="")[:EXCERPT_CHARACTERS]
+    shown = "".join(each if each.isprintable() else " " for each in line).strip()
+    return f"text, such as {shown!r}"
 
 
 def lines_of(data: bytes) -> list[TextLine] | None:

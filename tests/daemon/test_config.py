@@ -151,6 +151,7 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
         ("sensor: {crop: 4}", "sensor: 10x10 with crop 4 leaves 2x2; a side of 4 to 64 must be left"),
         ("sensor: {format: fabricgrid}", "did you mean fabric-grid?"),
         ("sensor: {format: xyz}", "format 'xyz' is none of fabric-grid, csv,"),
+        ("sensor: {format: {header: aa, clock: true}}", "sensor.format.clock: "),
         ("sensor: {format: {framing: binary}}", "needs a header or footer"),
         ("sensor: {format: {rows: 8, columns: 8}}", "lines of numbers need framing: text"),
         ("sensor: {port: 'tcp://pad:1', format: {framing: binary}}", "needs a header or footer"),

@@ -28,12 +28,12 @@ from touchd.daemon.commands import init
 from touchd.daemon.commands.init import main
 from touchd.daemon.doctor import hand, machine
 from touchd.daemon.doctor.hand import turned_with_a_hand
+from touchd.daemon.doctor.port import LastingName
 from touchd.daemon.path.events import SensorEvent
 from touchd.daemon.playback.rig import encoder_for
 from touchd.daemon.sinks.touches import decode
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.pad.format import PRESETS, PadFormat
-from touchd.drivers.pad.names import LastingName
 from touchd.drivers.pad.port import SensorError, open_port
 from touchd.drivers.recording import Stream, ideal_clock_ms
 from touchd.drivers.robot.login import Login
@@ -167,7 +167,7 @@ def test_a_port_that_another_program_reads_is_no_missing_pad() -> None:
     with (
         FakePort(STREAM, ENCODE) as pad,
         serial.Serial(pad.path, exclusive=True),
-        pytest.raises(SensorError, match="is busy: another program reads it"),
+        pytest.raises(SensorError, match=r"is open in another program; end the other program \("),
     ):
         write("--port", pad.path)
     assert not FILE.exists()

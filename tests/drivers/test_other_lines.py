@@ -48,7 +48,7 @@ def test_a_lost_tcp_pad_is_found_again() -> None:
                     assert_played(next_frames(queue, 50), STREAM, range(first, first + 50))
                 down = next_state(queue)
                 assert down.state == "down"
-                assert down.reason == f"{address} went away: unplugged or switched off?"
+                assert down.reason.startswith(f"{address} went away: unplugged or switched off?")
 
 
 def test_no_frame_spans_a_reconnect() -> None:
@@ -67,7 +67,7 @@ def test_a_tcp_pad_that_is_switched_on_later_is_found() -> None:
     port = free_port()
     address = f"tcp://127.0.0.1:{port}"
     with sensing(address) as queue:
-        assert next_state(queue).reason.startswith(f"{address} is not there: is the pad's board switched on")
+        assert next_state(queue).reason.startswith(f"{address} refuses the connection")
         with socket.create_server(("127.0.0.1", port)) as server:
             connection, _ = server.accept()
             with connection:
@@ -213,7 +213,7 @@ def test_a_pad_may_have_an_ipv6_address() -> None:
 
 
 def test_no_second_reader_takes_a_udp_pads_datagrams() -> None:
-    taken = pytest.raises(SensorError, match=r"is busy: another program .*Address already in use")
+    taken = pytest.raises(SensorError, match="is open in another program")
     with udp_pad() as (address, _), open_port(address, 9600), taken as refused:
         open_port(address, 9600)
     assert refused.value.kind == "busy"

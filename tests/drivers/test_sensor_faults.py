@@ -2,6 +2,8 @@
 
 import logging
 import socket
+import subprocess
+import sys
 import termios
 import threading
 import time
@@ -29,6 +31,15 @@ from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import CLOCK_MODULUS, Counts, Frame
 from touchd.drivers.pad.sensor import FrameQueue, Sensor
 from touchd.drivers.recording import Stream
+
+STEAL = """
+import os, select, sys
+line = os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+while True:
+    select.select([line], [], [])
+    try: os.read(line, 4096)
+    except BlockingIOError: pass
+"""
 
 
 @pytest.fixture(autouse=True)
@@ -99,7 +110,7 @@ def test_a_port_that_another_program_reconfigured_is_restored() -> None:
             flags = termios.tcgetattr(line)
             flags[0] |= termios.ISTRIP
             termios.tcsetattr(line, termios.TCSANOW, flags)
-        assert "no frame of" in next_state(queue).reason
+        assert "but no frame of" in next_state(queue).reason
         assert next_state(queue).state == "up"
         next_frames(queue, 5)
 
@@ -125,8 +136,8 @@ def test_bytes_without_frames_are_reported_until_frames_come(
 ) -> None:
     switch = Switch(trouble)
     with FakePort(stream_of(), switch) as port, sensing(port.path) as queue:
-        reason = "no frame of fabric-grid 10x10 in "
-        assert next_state(queue).reason.startswith(f"{port.path} at 512000 baud: {reason}")
+        reason = f"{port.path} at 512000 baud: bytes come, but no frame of fabric-grid 10x10; touchd doctor"
+        assert next_state(queue).reason.startswith(reason)
         time.sleep(0.6)
         switch.encode = encode_fabric_grid
         assert_is_over(queue, caplog, "WARNING", "INFO")
@@ -168,7 +179,7 @@ def test_a_busy_port_is_opened_once_it_is_free(caplog: pytest.LogCaptureFixture)
     with FakePort(stream_of(), encode_fabric_grid) as port:
         other = serial.Serial(port.path, exclusive=True)
         with sensing(port.path) as queue:
-            assert "busy: another program reads it" in next_state(queue).reason
+            assert "is open in another program" in next_state(queue).reason
             other.close()
             assert_is_over(queue, caplog, "WARNING", "INFO")
 
@@ -217,3 +228,57 @@ def test_a_pad_whose_clock_is_odd_loses_nothing(
     assert [frame.sensor_ms for frame in frames] == list(map(shown_ms, clock_ms.tolist()))
     np.testing.assert_array_equal([frame.pressure for frame in frames], stream.counts)
     assert [record.levelname for record in caplog.records] == ["INFO"]
+
+
+def test_another_program_that_takes_bytes_is_reported_until_it_ends() -> None:
+    with FakePort(stream_of(), encode_fabric_grid) as port, sensing(port.path) as queue:
+        next_frames(queue, 5)
+        with subprocess.Popen([sys.executable, "-c", STEAL, port.path]) as process:
+            try:
+                down = next_state(queue)
+            finally:
+                process.kill()
+        assert down.reason.startswith(
+            f"{port.path} is read by another program too, which takes bytes; end it; "
+        )
+        # The port stays open: opening it again would restart an Arduino.
+        assert next_state(queue).state == "up"
+        next_frames(queue, 5)
+
+
+@pytest.mark.parametrize(
+    ("sent", "reason"),
+    [
+        (b"", "closed the connection at once; it sent nothing"),
+        (b"Port already in use\r\n", "closed the connection at once; it sent 'Port already in use'"),
+        (encode_fabric_grid(stream_of(1).counts[0], 18)[:150], "went away: unplugged or switched off?"),
+    ],
+    ids=["nothing", "words", "half a frame"],
+)
+def test_a_server_that_closes_at_once_is_quoted(sent: bytes, reason: str) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        with sensing(address) as queue:
+            connection, _ = server.accept()
+            connection.sendall(sent)
+            connection.close()
+            assert next_state(queue).reason == f"{address} {reason}; touchd doctor says more"
+
+
+def test_a_pad_that_comes_back_under_another_name_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("touchd.drivers.pad.port.DEV", tmp_path)
+    with sensing(str(tmp_path / "ttyACM0")) as queue:
+        assert next_state(queue).reason == f"{tmp_path}/ttyACM0 is not there; touchd doctor says more"
+        (tmp_path / "ttyACM1").touch()
+        assert f"is not there; there is {tmp_path}/ttyACM1; " in next_state(queue).reason
+
+
+def test_the_rate_that_starts_boot_loaders_is_warned_of_once(caplog: pytest.LogCaptureFixture) -> None:
+    for port, baud in (("/dev/touchd-none", 1200), ("/dev/touchd-none", 9600), ("tcp://127.0.0.1:1", 1200)):
+        sensor = Sensor(port, baud, FabricGrid(), FrameQueue())
+        sensor.start()
+        sensor.stop()
+    (warning,) = [message for message in caplog.messages if "boot loader" in message]
+    assert warning.startswith("/dev/touchd-none: closing a port at 1200 baud")
