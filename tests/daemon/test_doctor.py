@@ -76,7 +76,7 @@ def test_a_port_busy_with_the_service_is_recognised(tmp_path: Path, monkeypatch:
         systemd_says(ACTIVE, tmp_path, monkeypatch)
         service = the("port", examine(settings, 1.0, print))
     assert other.verdict == "to do"
-    assert "busy" in other.found
+    assert "is open in another program" in other.found
     assert service.verdict == "not checked"
     assert "sudo systemctl stop touchd" in service.advice
 

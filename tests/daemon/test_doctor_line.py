@@ -60,7 +60,7 @@ def test_a_group_that_waits_for_the_next_login_is_said(monkeypatch: pytest.Monke
     monkeypatch.setattr(line, "check_port", Mock())
     for members, advice in (
         ([user], f"{user} is in the group dialout, but this session began before that: log out of the"),
-        ([], "after that: log out and in again"),
+        ([], "add the user to the group dialout (sudo usermod -aG dialout $USER, then log out and in"),
     ):
         group = grp.struct_group(("dialout", "x", 4_000_000, members))
         monkeypatch.setattr(grp, "getgrall", lambda group=group: [group])
@@ -131,7 +131,7 @@ def test_a_server_that_is_busy_is_quoted_and_no_cable_blamed(is_flushed: bool) -
             seen = listen(opened, FrameParser(sensor.described), 1.0)
             check = check_protocol(seen, sensor, opened, lambda: Finding(None, "", ""))
     assert "'Port already in use'" in check.found
-    assert check.advice == ""
+    assert check.advice == "does it serve one program at a time, and is another one connected?"
 
 
 def test_a_line_that_damages_frames_is_recognised() -> None:

@@ -1,5 +1,6 @@
 """The doctor's checks of the pad itself: rest, noise, broken taxels, orientation."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -13,8 +14,10 @@ from touchd.daemon.doctor.values import (
     check_quiet,
     check_rest,
     check_taxels,
+    check_values,
     is_pressed,
 )
+from touchd.drivers.frame import Counts
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import open_port
 from touchd.model.studies.simulated import simulate
@@ -28,12 +31,8 @@ def test_a_sound_pad_at_rest_has_only_living_taxels() -> None:
 
 @pytest.mark.parametrize(
     ("damaged", "stuck_at", "found"),
-    [
-        (np.s_[:, 3], 0, "row 4"),
-        (np.s_[:, 2, 4], 7, "row 3 column 5"),
-        (np.s_[:, :, :3], 1023, "a quarter of the pad or more"),
-    ],
-    ids=["a dead row", "a stuck taxel", "a short"],
+    [(np.s_[:, 3], 0, "row 4"), (np.s_[:, 2, 4], 7, "row 3 column 5")],
+    ids=["a dead row", "a stuck taxel"],
 )
 def test_broken_taxels_are_named(damaged: tuple[slice | int, ...], stuck_at: int, found: str) -> None:
     counts = resting()
@@ -56,6 +55,70 @@ def test_a_noisy_taxel_is_distinguished_from_a_noisy_pad() -> None:
     assert "row 7 column 2 is noisy" in one.found
     everywhere = check_noise(sample(counts + rng.integers(0, 40, counts.shape).astype(np.uint16)))
     assert "the whole pad is noisy" in everywhere.found
+
+
+def hum(counts: Counts) -> None:
+    at_s = np.arange(len(counts)) / 54
+    weights = np.random.default_rng(2).uniform(0.7, 1.3, (8, 8))
+    counts += np.rint(6 + 5 * np.sin(2 * np.pi * 4.0 * at_s)[:, None, None] * weights).astype(np.uint16)
+
+
+def loose_row(counts: Counts) -> None:
+    jumps = np.arange(len(counts)) // 54 % 2
+    counts[:, 2] += (6 * jumps)[:, None].astype(np.uint16)
+
+
+def press(counts: Counts) -> None:
+    counts[100:200, 2:6, 2:6] += 300
+
+
+@pytest.mark.parametrize(
+    ("disturb", "found"),
+    [
+        (hum, "all taxels swing together by 5."),
+        (hum, "at 4 Hz as sampled: mains hum, or a motor"),
+        (loose_row, "the values of row 3 jump together"),
+        (press, ""),
+        (lambda counts: None, ""),
+    ],
+    ids=["hum", "its rate", "a loose line", "a press", "nothing"],
+)
+def test_hum_and_a_loose_line_are_named(disturb: Callable[[Counts], None], found: str) -> None:
+    counts = resting()
+    disturb(counts)
+    check = check_noise(sample(counts))
+    assert found in check.found
+    assert bool(found) == ("swing" in check.found or "jump" in check.found)
+    assert bool(check.advice) >= bool(found)
+
+
+def short(counts: Counts) -> None:
+    counts[:, :, :3] = 1023
+
+
+def jumping(counts: Counts) -> None:
+    counts[1::2, 2:4, 2:4] += np.uint16(300)
+
+
+@pytest.mark.parametrize(
+    ("disturb", "full_scale", "found"),
+    [
+        (short, 1023, "a quarter of the pad or more is at its limit"),
+        (jumping, 1023, "values jump from frame to frame, as no hand makes them"),
+        (press, 500, "values above full_scale 500 are cut to it"),
+        (press, 1023, ""),
+    ],
+    ids=["a short", "jumps", "above full scale", "a press"],
+)
+def test_values_that_no_hand_makes_are_named(
+    disturb: Callable[[Counts], None], full_scale: int, found: str
+) -> None:
+    counts = resting()
+    disturb(counts)
+    seen = sample(counts)
+    if full_scale < 1023:
+        seen = replace(seen, clipped=0.2)
+    assert [check.found for check in check_values(seen, full_scale)] == ([found] if found else [])
 
 
 def test_an_inverted_pad_is_distinguished_from_a_loaded_one() -> None:
@@ -96,6 +159,16 @@ def test_the_pressed_corner_tells_how_the_pad_lies(row: int, column: int, verdic
     check = check_orientation(pressed, rest, SETTINGS)
     assert check.verdict == verdict
     assert advice in check.advice
+
+
+def test_a_press_elsewhere_than_on_a_corner_is_said() -> None:
+    counts = resting(1.0)
+    rest = np.median(counts, axis=0)
+    counts[10:20, 3, 5] += 300
+    elsewhere = sample(counts)
+    assert not any(is_pressed(frame, rest) for frame in elsewhere.frames)
+    check = check_orientation(elsewhere, rest, SETTINGS)
+    assert (check.verdict, check.found) == ("not checked", "pressed elsewhere, at row 4 column 6")
 
 
 def test_not_pressing_the_corner_is_no_fault() -> None:
