@@ -50,7 +50,7 @@ class Board:
             model,
             self.events.append,
             Clock(lambda: self.now_s),
-            monitor=PadMonitor(parser=self.parser, where="/dev/ttyACM0"),
+            monitor=PadMonitor(parser=self.parser),
         )
         for data in self._sent(MadePad().counts(np.concatenate(pressures))):
             self.now_s += 1 / 54

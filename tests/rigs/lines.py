@@ -184,7 +184,7 @@ def line_of_text_with_frame_numbers() -> Line:
 
 @line
 def damage_flipped_bits() -> Line:
-    """Long wires flip a bit in every twelfth frame; the log says so, and a stroke is still recognised."""
+    """Long wires flip a bit in every twelfth frame; a stroke is still recognised."""
     rng = RandomState(41)
     pieces = []
     for number, (at_ms, data) in enumerate(packets(SMALL, stroked(SMALL, lead_s=11.0))):
@@ -267,7 +267,7 @@ def damage_header_among_cells() -> Line:
 
 @line
 def damage_above_full_scale() -> Line:
-    """A hand exceeds the configured full scale; its values are cut to it, and the log says so."""
+    """A hand exceeds the configured full scale; its values are cut to it."""
     described = PadFormat(framing="text", rows=6, columns=6, full_scale=100)
     values = touched(described, np.tile(hand(34, ("constant", 5.0), lead_s=0.5, quiet_s=1.0), (2, 1, 1)))
     return one_each(described, 25 * values)

@@ -78,7 +78,7 @@ class Listener:
         self._now_s = 0.0
         self._heard_s: float | None = None
         clock = Clock(monotonic_s=lambda: self._now_s)
-        monitor = PadMonitor(parser=parser, where="the line")
+        monitor = PadMonitor(parser=parser)
         self._pipeline = Pipeline(Settings().pipeline, classifier, self._put, clock, monitor=monitor)
 
     def hear_all(self, arrivals: Iterable[tuple[float, Frame]], *, ends: bool = True) -> Told:
