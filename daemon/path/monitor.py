@@ -101,7 +101,8 @@ class PadMonitor:
         self._block: list[Frame] = []
         self._is_untouched = True
         self._without_gap = 0
-        self._is_noisy = False
+        # What was said of the untouched pad since the last check, None if nothing.
+        self._is_noisy: bool | None = None
         # How many checks in a row have contradicted each fault's present state.
         self._contradicted: dict[str, int] = {}
 
@@ -137,9 +138,9 @@ class PadMonitor:
         if self._is_untouched:
             self._taxels.update(self._block)
         found |= self._taxels.found
-        if self._is_noisy:
+        if self._is_noisy or (self._is_noisy is None and "noise" in self._lasting):
             found["noise"] = FAULTS["noise"].words
-        self._block, self._is_untouched = [frame], is_untouched
+        self._block, self._is_untouched, self._is_noisy = [frame], is_untouched, None
         return self._follow(found, frame.host_s)
 
     def _gaps(self) -> dict[str, str]:

@@ -286,8 +286,12 @@ def test_a_noisy_pad_is_degraded_after_five_seconds_until_it_is_calm() -> None:
 
 
 def noisy_for(monitor: PadMonitor, seconds: int) -> list[SensorState]:
-    monitor.on_rest(is_noisy=True)
-    return states_of(monitor, range(0, 1000 * seconds, 18))
+    states = list[SensorState]()
+    for ms in range(0, 1000 * seconds, 18):
+        monitor.on_rest(is_noisy=True)
+        state = monitor.on_frame(Frame(ms, ms / 1000, STILL), restarted=False)
+        states += [state] if state else []
+    return states
 
 
 def test_a_pad_that_was_gone_is_not_noisy_until_measured_again(caplog: pytest.LogCaptureFixture) -> None:
