@@ -126,12 +126,12 @@ def _loose_line(counts: NDArray[np.float64]) -> str:
     line = int(jumps.argmax())
     is_on_line = np.zeros((ROWS, COLUMNS), dtype=np.bool_)
     is_on_line[(line,) if line < ROWS else np.s_[:, line - ROWS]] = True
-    others = np.abs(change[:, ~is_on_line]).mean(axis=1)
-    is_alone = (np.abs(lines[:, line]) >= LEAST_STEP_COUNTS) & (
-        others <= OTHERS_SHARE * np.abs(lines[:, line])
-    )
-    up, down = lines[is_alone, line] > 0, lines[is_alone, line] < 0
-    if not (up.any() and down.any()):
+    others, step = np.abs(change[:, ~is_on_line]).mean(axis=1), lines[:, line]
+    share = OTHERS_SHARE * np.abs(step)
+    # Most of the line's taxels follow it; a single noisy one is not a line.
+    follows = np.quantile(change[:, is_on_line] * np.sign(step)[:, None], 1 / 4, axis=1) >= share
+    is_alone = (np.abs(step) >= LEAST_STEP_COUNTS) & (others <= share) & follows
+    if not ((step[is_alone] > 0).any() and (step[is_alone] < 0).any()):
         return ""
     return f"row {line + 1}" if line < ROWS else f"column {line - ROWS + 1}"
 
