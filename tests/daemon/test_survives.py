@@ -330,7 +330,7 @@ def test_a_pad_played_at_half_speed_is_not_late() -> None:
     ("line", "why"),
     [
         (Line(step_ms=250), "4.0 frames a second come"),
-        (Line(back_ms=4000), "goes back and forth; do frames overtake one another"),
+        (Line(back_ms=4000), "frames come with gaps; are they lost on the way, or do two boards send there"),
     ],
     ids=["4 Hz", "two boards"],
 )
@@ -340,7 +340,7 @@ def test_a_pad_without_detectable_touches_is_degraded_with_a_reason(line: Line, 
     assert event.state == "degraded"
     assert why in event.reason
     line._step_ms, line._clock_factor, line._back_ms = 1000 / 54, 1.0, 0
-    line.feel(nothing(1.5))
+    line.feel(nothing(7.0))
     assert line.events[-1].state == "up"
 
 
