@@ -42,7 +42,7 @@ SOON_S = 20.0
 # Three touches: a pat, a stroke, and one that begins as scratching and goes on as rubbing.
 SCRIPT = (
     *(("notouch", 3.0), ("pat", 3.0), ("notouch", 3.0), ("stroke", 3.0)),
-    *(("notouch", 3.0), ("scratch", 1.0), ("rub", 2.6), ("notouch", 2.5)),
+    *(("notouch", 3.0), ("scratch", 1.15), ("rub", 2.45), ("notouch", 2.5)),
 )
 COUNTS = np.concatenate([part.counts for part in simulate(SCRIPT, seed=6)])
 THREE_TOUCHES = Stream(COUNTS, ideal_clock_ms(len(COUNTS)), ())
@@ -473,7 +473,7 @@ def worded(chrome: Chrome, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
     # Without a viewer, events are shown with the next status.
     monkeypatch.setattr(server, "STATUS_EVERY_S", 0.05)
     words = {gesture: Words(name=word, phrase=word) for gesture, word in LONG_WORDS.items()}
-    with serving(words=words, robot=RobotSettings(url="tcp://127.0.0.1")) as served:
+    with serving(words=words, robot=RobotSettings(url="tcp://127.0.0.1:1")) as served:
         served.sink.put(SensorEvent(state="up", time=TIME))
         served.sink.put(RobotEvent(state="up", time=TIME))
         put_a_touch(served, ["stroke", "rub", "tickle"])
@@ -571,7 +571,7 @@ def test_an_unsure_answer_shows_no_percentage(chrome: Chrome) -> None:
 
 def test_a_flag_stands_where_its_answer_was_said(chrome: Chrome) -> None:
     show_in(chrome, 1280, 800)
-    with serving(robot=RobotSettings(url="tcp://127.0.0.1")) as served:
+    with serving(robot=RobotSettings(url="tcp://127.0.0.1:1")) as served:
         chrome.get(f"http://127.0.0.1:{served.port}/")
         wait_for(lambda: text_of(chrome, "#gesture") == "Touch the pad")
         served.sink.put(RobotEvent(state="up", time=TIME))

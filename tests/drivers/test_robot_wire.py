@@ -345,7 +345,8 @@ plain = st.recursive(
     st.one_of(
         st.booleans(),
         st.integers(-(2**63), 2**63 - 1),
-        st.floats(allow_nan=False),
+        # ONNX Runtime, where another test has loaded it, counts denormals as zero.
+        st.floats(allow_nan=False, allow_subnormal=False),
         st.text(st.characters(codec="utf-8"), max_size=20),
     ),
     lambda inner: st.lists(inner, max_size=5),
