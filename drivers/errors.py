@@ -6,7 +6,7 @@ TouchdError
     UsageError         daemon/app/cli.py           the command line
     ConfigError        daemon/app/strict_yaml.py   the configuration
     PathError          drivers/errors.py            a path's home
-    SensorError        drivers/pad/why_not.py       the pad's port
+    SensorError        drivers/pad/port.py          the pad's port
     FormatError        drivers/pad/format.py        the description of a pad
     RobotError         drivers/robot/session.py     the robot's address, login or library
     ModelError         model/classifier.py          a model file
