@@ -211,15 +211,6 @@ class TouchTracker:
         self._restless = self._restless_before = 0.0
         self._index, self._sensor_ms = -1, 0.0
 
-    def is_settled(self, frames: int) -> bool:
-        """Whether no touch ends by quiet within that many frames, and none may just have begun."""
-        match self._state:
-            case Quiet():
-                return True
-            case Touched() as touch:
-                return self._index - self._last_seen(touch) + frames < self._quiet_frames
-        return False
-
     @property
     def is_untouched(self) -> bool:
         """Whether the last hand left some seconds ago, so that what the pad reads is its own."""
