@@ -38,9 +38,14 @@ class Gate:
         self._tls = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         authority.issue_cert("nao").configure_cert(self._tls)
         self._listener = socket.create_server(("127.0.0.1", port))
-        threading.Thread(target=self._accept, name="login-gate", daemon=True).start()
+        self._accepting = threading.Thread(target=self._accept, name="login-gate", daemon=True)
+        self._accepting.start()
 
     def close(self) -> None:
+        # While a thread waits in accept, closing alone leaves the port taken.
+        with suppress(OSError):
+            self._listener.shutdown(socket.SHUT_RDWR)
+        self._accepting.join(5.0)
         self._listener.close()
 
     def _accept(self) -> None:
