@@ -15,12 +15,13 @@ from typing import Any
 import msgspec
 
 from touchd.daemon.path.events import Event, TouchBegan, TouchEnded, timestamp
+from touchd.daemon.path.tracker.tracker import Onset, Release, TouchSettings
 from touchd.drivers.frame import NO_TOUCH, Frame
 from touchd.drivers.pad.grid import Ring
 from touchd.drivers.recording import Recording
 from touchd.model.classifier import SHIPPED_MODEL, Classifier, as_known
 from touchd.model.detector.detector import SHIPPED_DETECTOR, Detector
-from touchd.model.studies.detection.tracker import Onset, Question, Release, TouchSettings, TouchTracker
+from touchd.model.studies.detection.tracker import Question, TouchTracker
 from touchd.model.studies.folders import study_parser
 from touchd.model.studies.marked import fill, table
 from touchd.model.studies.play import frames_of

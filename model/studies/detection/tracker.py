@@ -15,19 +15,19 @@ that keeps still for ten seconds is no hand, and becomes rest.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Literal, TypeAlias
+from typing import TypeAlias
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from touchd.daemon.path.events import EndReason
+from touchd.daemon.path.tracker.baseline import TAXELS, Taxels
+from touchd.daemon.path.tracker.tracker import Change, Onset, Release, TouchSettings
 from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
 from touchd.drivers.pad.grid import GridFrame
 from touchd.model.detector.detector import Detector, DetectorState, after_gap, at_rest
 from touchd.model.detector.hysteresis import BEGIN_FRAMES, GOES_ON, REST_FRAMES, SURE, TOUCH
 
-TAXELS = ROWS * COLUMNS
 SECOND_FRAMES = 2 * REST_FRAMES
 # After a longer gap, rest is measured again: it may be another pad.
 CHANGED_AFTER_MS = 2000.0
@@ -38,40 +38,9 @@ SETTLED_FRAMES = round(10 * FRAME_RATE_HZ)
 LONGEST_FRAMES = round(600 * FRAME_RATE_HZ)
 # The classifier's probability of no touch that ends a doubtful touch.
 NO_HAND = 0.5
-SENSITIVITIES = {"low": 0.9, "normal": TOUCH, "high": 0.4}
-"""The probability above which a touch begins."""
 
-Taxels = NDArray[np.float32]
-Sensitivity: TypeAlias = Literal["low", "normal", "high"]
 Question: TypeAlias = Callable[[NDArray[np.float32], Taxels], float]
 """The classifier's probability that nothing touches a pad in (T, 8, 8) counts that rests at (64,) counts."""
-
-
-class TouchSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """When a touch begins and ends.
-
-    sensitivity: high detects lighter touches and more false ones (docs/sessions.md). quiet_s: seconds without
-    a hand that end a touch; longer than the lift-off between two strokes.
-    """
-
-    sensitivity: Sensitivity = "normal"
-    quiet_s: Annotated[float, msgspec.Meta(ge=0.1, le=5.0)] = 0.8
-
-
-@dataclass(frozen=True, slots=True)
-class Onset:
-    """A touch was detected; first_index is the grid frame at which it truly began."""
-
-    first_index: int
-
-
-@dataclass(frozen=True, slots=True)
-class Release:
-    """The touch is over; first_index and last_index are its first and last grid frame with a hand."""
-
-    first_index: int
-    last_index: int
-    reason: EndReason
 
 
 @dataclass(slots=True)
@@ -110,9 +79,6 @@ class Touched:
     level: Taxels | None = None
 
 
-Change: TypeAlias = Onset | Release | None
-
-
 class TouchTracker:
     """Takes the pad's frames one by one and returns where touches begin and end.
 
@@ -122,7 +88,6 @@ class TouchTracker:
     def __init__(
         self, settings: TouchSettings, detector: Detector, p_no_touch: Question | None = None
     ) -> None:
-        self._begins_above = SENSITIVITIES[settings.sensitivity]
         self._quiet_frames = round(settings.quiet_s * FRAME_RATE_HZ)
         self._detector, self._p_no_touch = detector, p_no_touch
         self._known: DetectorState = detector.begin(np.zeros((2, TAXELS), np.float32))
@@ -189,7 +154,7 @@ class TouchTracker:
         return release
 
     def _watch(self, quiet: Quiet, probability: float) -> Onset | None:
-        quiet.likely = quiet.likely + 1 if probability > self._begins_above else 0
+        quiet.likely = quiet.likely + 1 if probability > TOUCH else 0
         if probability <= GOES_ON:
             quiet.unlikely_index = self._index
         if quiet.likely < BEGIN_FRAMES and probability <= SURE:
@@ -201,7 +166,7 @@ class TouchTracker:
     def _hold(self, touch: Touched, probability: float) -> Release | None:
         if probability > GOES_ON:
             touch.last = self._index
-        if probability > self._begins_above:
+        if probability > TOUCH:
             touch.last_likely = self._index
         if self._index - touch.last >= self._quiet_frames:
             return self._end(touch, "released")
