@@ -1,6 +1,7 @@
 """Fixtures for tests of every folder."""
 
 import gc
+import logging
 import os
 import signal
 import sys
@@ -126,6 +127,20 @@ def own_signals() -> Iterator[None]:
     yield
     for number, handler in zip(numbers, before, strict=True):
         signal.signal(number, handler)
+
+
+@pytest.fixture(autouse=True)
+def own_log_levels() -> Iterator[None]:
+    """Undo what a test does to the levels of the logs: the next one would see other lines than alone."""
+    loggers = [logging.getLogger()]
+    loggers += [log for log in logging.Logger.manager.loggerDict.values() if isinstance(log, logging.Logger)]
+    before = [log.level for log in loggers]
+    yield
+    for log in logging.Logger.manager.loggerDict.values():
+        if isinstance(log, logging.Logger) and log not in loggers:
+            log.setLevel(logging.NOTSET)
+    for log, level in zip(loggers, before, strict=True):
+        log.setLevel(level)
 
 
 @pytest.fixture(scope="session")

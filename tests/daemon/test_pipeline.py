@@ -465,6 +465,7 @@ def test_a_gesture_in_one_window_alone_is_not_told() -> None:
 
 
 def test_a_noisy_pad_is_reported_once(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.WARNING)
     bench = Bench()
     noise = np.random.default_rng(3).normal(0, 1.5, (540, 8, 8)).astype(np.float32)
     states = [event.state for event in bench.feel(noise, nothing(20.0)) if isinstance(event, SensorEvent)]
