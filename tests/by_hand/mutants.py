@@ -1,6 +1,7 @@
 """How many small changes of a module its tests catch; cosmic-ray makes the changes. See `make mutants`.
 
-Works in a copy of the tree, so that the files here never hold a mutant.
+Works in a copy of the tree, so that the files here never hold a mutant. Each mutant costs a run of the tests
+that are named, up to the first that fails.
 """
 
 import argparse
@@ -10,10 +11,12 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
-from typing import Any
 
 ROOT = Path(__file__).parents[2]
+# A mutant that takes this many times as long as the tests, and this much more, waits for ever.
+PATIENCE, PATIENCE_S = 3.0, 20.0
 
 
 def copy_of_tree(folder: Path) -> Path:
@@ -30,41 +33,35 @@ def copy_of_tree(folder: Path) -> Path:
     return copy
 
 
-def tried(given: argparse.Namespace, file: str, folder: Path, copy: Path) -> list[dict[str, Any]]:
-    """Return each mutant's line, what it became, and which test caught it, if any."""
-    mutants, report = folder / "mutants.jsonl", folder / "report.jsonl"
-    with mutants.open("w") as listed:
-        mutate = [
-            given.tool / "bin/python",
-            ROOT / "tests/by_hand/mutate.py",
-            f"--sample={given.sample}",
-            file,
-        ]
-        subprocess.run(mutate, cwd=copy, stdout=listed, check=True)
-    variables = {"FILE": file, "LIST": mutants, "REPORT": report, "SECONDS": given.seconds}
-    environment = {f"MUTANTS_{name}": str(value) for name, value in variables.items()}
-    environment |= {"PYTHONPATH": f"{folder}:tests", "OPENBLAS_NUM_THREADS": "1"}
-    pytest = [
-        sys.executable,
-        "-m",
-        "pytest",
-        "-n",
-        "0",
-        "-p",
-        "no:cacheprovider",
-        "-p",
-        "by_hand.mutant_runner",
-    ]
-    done = subprocess.run(
-        [*pytest, *given.tests.split()],
-        cwd=copy,
-        env=os.environ | environment,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    if not report.exists():
-        sys.exit(done.stdout)
-    return [json.loads(line) for line in report.read_text().splitlines()]
+def passes(tests: list[str], copy: Path, limit_s: float | None = None) -> bool:
+    """Run tests in the copy until one fails or the limit is over."""
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider", *tests]
+    # Without stored bytecode, a mutant that is written within the same second is read too.
+    own = {"PYTHONPATH": f"{copy.parent}:tests", "PYTHONDONTWRITEBYTECODE": "1", "OPENBLAS_NUM_THREADS": "1"}
+    try:
+        done = subprocess.run(command, cwd=copy, env=os.environ | own, capture_output=True, timeout=limit_s)
+    except subprocess.TimeoutExpired:
+        return False
+    return done.returncode == 0
+
+
+def missed(given: argparse.Namespace, file: str, copy: Path) -> tuple[int, list[str]]:
+    """Return how many mutants a file has, and the lines of those that all tests let through."""
+    mutate = [given.tool / "bin/python", ROOT / "tests/by_hand/mutate.py", f"--sample={given.sample}", file]
+    mutants = subprocess.check_output(mutate, cwd=copy, text=True).splitlines()
+    tests, path = given.tests.split(), copy / file
+    source, began_s = path.read_text(), time.monotonic()
+    if not passes(tests, copy):
+        sys.exit(f"{given.tests}: fails without a mutant")
+    limit_s = PATIENCE_S + PATIENCE * (time.monotonic() - began_s)
+    let_through = []
+    for mutant in map(json.loads, mutants):
+        path.write_text(mutant["code"])
+        if passes(tests, copy, limit_s):
+            changed = mutant["code"].splitlines()[mutant["line"] - 1].strip()
+            let_through.append(f"{file}:{mutant['line']}: {changed}")
+    path.write_text(source)
+    return len(mutants), let_through
 
 
 def main() -> None:
@@ -72,20 +69,17 @@ def main() -> None:
     parser.add_argument("--tool", type=Path, required=True, help="the virtual environment with cosmic-ray")
     parser.add_argument("--tests", default="tests", help="which tests to run against each mutant")
     parser.add_argument("--sample", type=int, default=0, help="how many mutants of a file; 0: all")
-    parser.add_argument("--seconds", type=float, default=4.0, help="of processor for a mutant's tests")
     parser.add_argument("files", nargs="+")
     given = parser.parse_args()
     given.tool = given.tool.absolute()
-    lines: list[str] = []
-    rows = ["| file | faults | caught |", "|---|---|---|"]
-    for file in given.files:
-        with tempfile.TemporaryDirectory() as name:
-            mutants = tried(given, file, Path(name), copy_of_tree(Path(name)))
-        missed = [mutant for mutant in mutants if not mutant["caught"]]
-        lines += [f"{file}:{mutant['line']}: {mutant['changed']}" for mutant in missed]
-        caught = len(mutants) - len(missed)
-        rows.append(f"| `{file}` | {len(mutants)} | {caught} ({caught / len(mutants):.0%}) |")
-    sys.stdout.write("\n".join([*lines, *rows, ""]))
+    sys.stdout.write("| file | faults | caught |\n|---|---|---|\n")
+    with tempfile.TemporaryDirectory() as folder:
+        copy = copy_of_tree(Path(folder))
+        for file in given.files:
+            count, lines = missed(given, file, copy)
+            caught = count - len(lines)
+            sys.stdout.write(f"| `{file}` | {count} | {caught} ({caught / count:.0%}) |\n")
+            sys.stderr.write("".join(f"{line}\n" for line in lines))
 
 
 if __name__ == "__main__":
