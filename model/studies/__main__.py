@@ -34,10 +34,6 @@ STUDIES = {
         "sessions.md: touches of a second or less, and hands that change",
     ),
     "tables": ("studies.tables", "every figure of detection and of what is said in use, in one file"),
-    "constants": (
-        "studies.sessions.constants",
-        "sessions.md: what each constant of detection does",
-    ),
     "sessions": ("studies.sessions.report", "sessions.md: what the robot is told of a pad in use"),
 }
 

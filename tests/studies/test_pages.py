@@ -21,7 +21,7 @@ from touchd.model.studies.checks.scores import read_scores
 from touchd.model.studies.detection import compare as detection
 from touchd.model.studies.marked import PLACE, PageError, fill, table
 from touchd.model.studies.results import Results, ResultsError
-from touchd.model.studies.sessions import constants, passing
+from touchd.model.studies.sessions import passing
 from touchd.model.studies.tracker import report as tracker
 from touchd.model.studies.tracker.figures import TouchReport
 from touchd.model.training.recipe import read_recipe
@@ -53,7 +53,6 @@ PAGES: dict[str, Tables] = {
     "sessions": lambda: {
         **tracker.tables(stored(tracker.FILE, TouchReport)),
         **passing.tables(stored(passing.FILE, passing.Measured)),
-        **constants.tables(Results(constants.FILE)),
         **detection.page_tables(Results(detection.FILE)),
     },
 }
