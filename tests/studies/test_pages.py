@@ -18,7 +18,6 @@ from touchd.model.classifier import SHIPPED_MODEL
 from touchd.model.studies import accuracy, adapting, decision, new_pad, paper, speed
 from touchd.model.studies.challenge import table as challenge
 from touchd.model.studies.checks.scores import read_scores
-from touchd.model.studies.detection import compare as detection
 from touchd.model.studies.marked import PLACE, PageError, fill, table
 from touchd.model.studies.results import Results, ResultsError
 from touchd.model.studies.sessions import passing
@@ -53,7 +52,6 @@ PAGES: dict[str, Tables] = {
     "sessions": lambda: {
         **tracker.tables(stored(tracker.FILE, TouchReport)),
         **passing.tables(stored(passing.FILE, passing.Measured)),
-        **detection.page_tables(Results(detection.FILE)),
     },
 }
 

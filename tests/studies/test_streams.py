@@ -59,8 +59,3 @@ def test_the_page_says_what_the_streams_give() -> None:
     assert result.missed == result.false == 0
     assert share <= 10
     assert right >= 75
-    high = measure(Path(str(THIRD_STUDY)), models, 60)
-    right = 100 * high.right / high.named
-    assert f"{high.right} of {high.named} named touches are right ({right:.0f} %)" in page
-    assert f"{high.missed or 'none'} of {high.touched} is missed" in page
-    assert f"in {high.false} of the {high.rest} recordings without any" in page

@@ -105,7 +105,6 @@ def test_a_touch_is_scored_by_what_was_told_last(events: list[Event], expected: 
 def test_a_lower_limit_names_more_of_the_ended_touches() -> None:
     (fate,) = judge(SESSION, touch_at(3.0, answer("uncertain", "uncertain", 4.3, stroke=0.35, rub=0.3)))
     assert passing.curve([fate], (0.3, 0.4)) == [(0.3, 100.0, 100.0), (0.4, 0.0, 0.0)]
-    assert passing.calibration_error([fate]) == pytest.approx(0.65)
 
 
 def test_a_change_counts_once_both_gestures_were_told() -> None:
@@ -117,11 +116,9 @@ def test_a_change_counts_once_both_gestures_were_told() -> None:
     assert (found.both, found.last, found.third, found.after_s, found.n) == (50.0, 50.0, 50.0, 1.2, 2)
 
 
-def test_a_pair_may_be_two_touches_with_rest_between() -> None:
+def test_a_pair_is_two_gestures_without_rest_between() -> None:
     recordings = [recording("notouch", []), recording("pat", [(0, 431)]), recording("rub", [(0, 431)])]
-    at_once, apart = (
-        next(changes.pairs(recordings, apart=apart)).counts[:, 3, 3] > 2 for apart in (False, True)
-    )
-    assert [len(at_once), len(apart)] == [108 + 432 + 108, 108 + 216 + 108 + 216 + 108]
-    assert not apart[324:432].any()
-    assert at_once.sum() == apart.sum() == 432
+    touched = next(changes.pairs(recordings)).counts[:, 3, 3] > 2
+    assert len(touched) == 108 + 432 + 108
+    assert touched[108:540].all()
+    assert touched.sum() == 432

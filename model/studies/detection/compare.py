@@ -23,7 +23,6 @@ from touchd.model.classifier import SHIPPED_MODEL, Classifier, as_known
 from touchd.model.detector.detector import SHIPPED_DETECTOR, Detector
 from touchd.model.studies.detection.tracker import Question, TouchTracker
 from touchd.model.studies.folders import study_parser
-from touchd.model.studies.marked import fill, table
 from touchd.model.studies.play import frames_of
 from touchd.model.studies.results import STORED, Results
 from touchd.model.studies.sessions import firm_pad, streams
@@ -143,23 +142,9 @@ class Comparison:
         return msgspec.structs.asdict(firm_pad.together(scores))
 
 
-def page_tables(results: Results) -> dict[str, str]:
-    """Return the table of docs/sessions.md by its place."""
-    rows = []
-    for key in results.find():
-        own = results.get(key)
-        if "median_ms" in own:
-            rows.append((key, own["missed"], "", "", "", f"{own['median_ms']:g} / {own['p90_ms']:g}"))
-        else:
-            split = own.get("split", own.get("several", ""))
-            rows.append((key, own["missed"], own.get("merged", ""), split, own["false"], ""))
-    headings = ("people, pad", "missed", "merged", "split", "false", "found after, median / p90 ms")
-    return {"detection": table(headings, rows)}
-
-
 def main(arguments: Sequence[str]) -> int:
     """Measure what is not stored yet; returns 0."""
-    takes = ("haart", "second-study", "third-study", "docs")
+    takes = ("haart", "second-study", "third-study")
     parser = study_parser("detection", "Measures touches detected by a network.", *takes)
     parser.add_argument("--firm-pad", type=Path, help="folder of the firm pad's recordings")
     parser.add_argument("--out", type=Path, default=FILE, help="where to store the figures")
@@ -174,5 +159,4 @@ def main(arguments: Sequence[str]) -> int:
                 since = monotonic()
                 results.put(key, measure(), monotonic() - since)
                 sys.stderr.write(f"{key}: {msgspec.json.encode(results.get(key)).decode()}\n")
-    fill(chosen.docs / "sessions.md", page_tables(results))
     return 0

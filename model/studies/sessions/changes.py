@@ -62,11 +62,8 @@ class Fate:
         return later[0] if later else None
 
 
-def pairs(recordings: Sequence[Recording], *, apart: bool = False) -> Iterator[Pair]:
-    """Yield each touching recording of a condition followed by another gesture of that condition.
-
-    apart: whether rest lies between them.
-    """
+def pairs(recordings: Sequence[Recording]) -> Iterator[Pair]:
+    """Yield each touching recording of a condition followed by another gesture of that condition."""
     rng = random.Random(7)
     for _, by_gesture in together(recordings):
         rest = by_gesture[NO_TOUCH][0]
@@ -77,7 +74,7 @@ def pairs(recordings: Sequence[Recording], *, apart: bool = False) -> Iterator[P
             if not others:
                 continue
             other, following = rng.choice(others)
-            first = [rest[:REST_FRAMES], counts[:EACH_FRAMES], *([rest[:REST_FRAMES]] if apart else [])]
+            first = [rest[:REST_FRAMES], counts[:EACH_FRAMES]]
             parts = [*first, following[-EACH_FRAMES:], rest[-REST_FRAMES:]]
             yield Pair(name, other, np.concatenate(parts).astype(np.uint16), sum(map(len, first)))
 
@@ -112,12 +109,12 @@ def score(fates: Sequence[Fate]) -> ChangeScore:
     )
 
 
-def measure(split: Split, *, apart: bool = False) -> ChangeScore:
-    """Play every pair with the network that never saw the person, and score them together; see `pairs`."""
+def measure(split: Split) -> ChangeScore:
+    """Play every pair with the network that never saw the person, and score them together."""
     return score(
         [
             judge(pair, play(frames_of(pair.counts), model, flush=True))
             for model, recordings in split
-            for pair in pairs(recordings, apart=apart)
+            for pair in pairs(recordings)
         ]
     )

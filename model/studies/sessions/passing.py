@@ -39,7 +39,6 @@ from touchd.model.training.weights import left_out_split
 
 FILE = STORED / "passing.json"
 LIMITS = (0.2, 0.3, 0.4, 0.5, 0.65)
-BINS = 10
 REST_FRAMES = 162
 # A cut piece rises from rest, and falls to it, within this many frames.
 FADE_FRAMES = 4
@@ -50,6 +49,16 @@ BESIDE_MS = 150.0
 ONE, SEVERAL = "one", "three"
 MIXED = ((ONE, "stroke"), (ONE, "pat"), (SEVERAL, "pat"), ("1 s", ""))
 """What a visitor does: these kinds make up the figure of all touches; "": any gesture."""
+SHOWN = (
+    "constant, 1 s",
+    "pat, one",
+    "pat, three",
+    "rub, 1 s",
+    "scratch, 1 s",
+    "stroke, one",
+    "tickle, 1 s",
+)
+"""The touches that have a row of their own on the page."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,19 +261,6 @@ def rows(fates: Sequence[Fate]) -> dict[str, PassingScore]:
     return {name: score(own) for name, own in groups.items() if own}
 
 
-def calibration_error(fates: Sequence[Fate]) -> float:
-    """Return the expected calibration error of the answers to ended touches, over ten bins."""
-    answers = [(*fate.ended, fate.touch.gesture) for fate in fates if fate.ended is not None]
-    confidence = np.array([value for _, value, _ in answers])
-    right = np.array([name == made for name, _, made in answers])
-    bins = np.minimum((confidence * BINS).astype(int), BINS - 1)
-    gaps = [
-        abs(confidence[bins == each].mean() - right[bins == each].mean()) * (bins == each).sum()
-        for each in np.unique(bins)
-    ]
-    return round(float(sum(gaps)) / max(1, len(answers)), 3)
-
-
 def curve(fates: Sequence[Fate], limits: Sequence[float]) -> list[tuple[float, float, float]]:
     """Return for each value of `released_above`: it, percent right of all, percent right of the named."""
     rows = []
@@ -284,10 +280,9 @@ def curve(fates: Sequence[Fate], limits: Sequence[float]) -> list[tuple[float, f
 
 
 class Row(msgspec.Struct, frozen=True, kw_only=True):
-    """One study's figures: by touch, the error of ended touches' confidence, and the curve of its limit."""
+    """One study's figures: by touch, and the curve of `released_above`."""
 
     scores: dict[str, PassingScore]
-    calibration_error: float
     curve: list[tuple[float, float, float]]
 
 
@@ -302,36 +297,32 @@ class Measured(msgspec.Struct, frozen=True, kw_only=True):
 def row_of(fates: Sequence[Fate]) -> Row:
     """Return one study's figures."""
     mix = [fate for fate in fates if fate.touch.is_in_mix]
-    return Row(scores=rows(fates), calibration_error=calibration_error(fates), curve=curve(mix, LIMITS))
+    return Row(scores=rows(fates), curve=curve(mix, LIMITS))
 
 
 def tables(measured: Measured) -> dict[str, str]:
     """Return the tables of docs/sessions.md by their places."""
     people = list(measured.passing)
 
-    def cells(name: str) -> list[str]:
-        found = [measured.passing[each].scores.get(name) for each in people]
-        return [f"{one.right:g} / {one.right_of_named:g}" if one else "" for one in found]
-
     def of_mix(value: Callable[[PassingScore], float]) -> list[str]:
         return [f"{value(measured.passing[each].scores['mix']):g}" for each in people]
 
-    names = sorted({name for row in measured.passing.values() for name in row.scores} - {"mix", "all"})
-    shown = [
+    def right(name: str) -> list[str]:
+        found = [measured.passing[each].scores.get(name) for each in people]
+        return [f"{one.right:g}" if one else "" for one in found]
+
+    rows = [
         ("touches", of_mix(lambda score: score.n)),
-        ("**right of all / of what was named**", cells("mix")),
+        ("**right of all**", of_mix(lambda score: score.right)),
+        ("right of those that were named", of_mix(lambda score: score.right_of_named)),
         ("missed", of_mix(lambda score: score.missed)),
-        ("detected as several", of_mix(lambda score: score.several)),
-        ("told right, then wrong", of_mix(lambda score: score.harmful)),
         ("from lift-off to the first answer, s", of_mix(lambda score: score.answered_s)),
-        *((name, cells(name)) for name in names),
+        *((name, right(name)) for name in SHOWN),
     ]
-    errors = ["calibration error of ended touches"]
-    errors += [f"{measured.passing[each].calibration_error:.2f}" for each in people]
-    changed = [(name, *msgspec.structs.astuple(one)) for name, one in measured.changes.items()]
-    headings = ("people", "both told", "last right", "a third told", "told after, s", "pairs")
+    changed = [(name, one.both, one.last, one.third, one.after_s) for name, one in measured.changes.items()]
+    headings = ("people", "both told", "last right", "a third told", "told after, s")
     return {
-        "passing": table(("", *people), [*((name, *row) for name, row in shown), errors]),
+        "passing": table(("", *people), [(name, *row) for name, row in rows]),
         "changes": table(headings, changed),
     }
 
@@ -375,8 +366,6 @@ def main(arguments: Sequence[str]) -> int:
         passing[name] = row_of([fate for model, own in split for fate in measure(own, model)])
         if name != "third study":
             changed[name] = changes.measure(split)
-        if name == "HAART test":
-            changed["the same, as two touches"] = changes.measure(split, apart=True)
         sys.stderr.write(f"{name}: {msgspec.json.encode(passing[name].scores['mix']).decode()}\n")
     measured = Measured(model=shipped.name, passing=passing, changes=changed)
     FILE.write_bytes(msgspec.json.format(msgspec.json.encode(measured)) + b"\n")
