@@ -1,17 +1,21 @@
-"""Connects to hosts by name: for the robot, MQTT, rosbridge and pads on the network.
+"""Connects to hosts by name, for the robot, MQTT, rosbridge and pads; knows this computer's own addresses.
 
 A name is looked up outside the time limit of the connection, and its addresses are kept while they work:
 nao.local may take seconds to resolve, if nobody answers the question for its IPv6 address.
 """
 
 import errno
+import fcntl
+import ipaddress
 import logging
 import os
 import select
 import socket
+import struct
 import threading
 import time
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from typing import Any, TypeAlias
 
@@ -27,6 +31,8 @@ SLICE_S = 0.05
 # A name server may return any number of addresses.
 MOST_ADDRESSES = 8
 MOST_NAMES = 64
+# ioctl(2), netdevice(7): the address of an interface.
+SIOCGIFADDR = 0x8915
 
 Address: TypeAlias = tuple[socket.AddressFamily, Any]
 
@@ -151,3 +157,18 @@ class Name:
             if self._host.endswith(".local"):
                 advice += ", or put mdns4_minimal in the place of mdns_minimal in /etc/nsswitch.conf"
             log.warning("%s takes %.1f s to resolve: %s", self._host, took_s, advice)
+
+
+def own_addresses() -> list[str]:
+    """Return this computer's IPv4 addresses, that of the default route first."""
+    found = []
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
+        # Connecting UDP sends nothing; the kernel only picks the source address.
+        with suppress(OSError):
+            asking.connect(("192.0.2.1", 9))
+            found.append(asking.getsockname()[0])
+        for _, name in socket.if_nameindex():
+            with suppress(OSError):
+                answer = fcntl.ioctl(asking.fileno(), SIOCGIFADDR, struct.pack("256s", name.encode()[:15]))
+                found.append(socket.inet_ntoa(answer[20:24]))
+    return [address for address in dict.fromkeys(found) if not ipaddress.ip_address(address).is_loopback]

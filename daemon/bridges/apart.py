@@ -1,4 +1,4 @@
-"""Runs bridges in a separate process, for libraries whose memory anybody on the network can fill.
+"""Runs LSL and ROS 2 in a separate process, as anybody on the network can fill the memory of their libraries.
 
 liblsl stores a request of any length, DDS every participant that announces itself; neither has a limit. The
 process may grow by MOST_MB. Beyond that it ends, and the daemon keeps running and starts another.
@@ -13,17 +13,19 @@ import select
 import signal
 import subprocess
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import msgspec
 import numpy as np
 
-from touchd.daemon.bridges.bridge import GOODBYE_S, POLL_S, Bridge, ConnectedBridge, bridge_class, own_name
+from touchd.daemon.bridges.bridge import GOODBYE_S, POLL_S, STALE_S, Bridge, BridgeError
 from touchd.daemon.bridges.settings import LslSettings, Ros2Settings
 from touchd.daemon.path.events import Event, encode
+from touchd.drivers.faults import Backoff
 from touchd.drivers.frame import COLUMNS, ROWS, Frame
 
 MOST_MB = 16
@@ -34,13 +36,12 @@ PROGRAM = (sys.executable, "-m", "touchd.daemon.bridges.apart")
 ENVIRONMENT = {"MALLOC_ARENA_MAX": "2", "OPENBLAS_NUM_THREADS": "1", "PYTHONSAFEPATH": "1"}
 READY = "ready"
 OUT_OF_MEMORY = 3
-OPEN_S = 2.0
+# A start takes half a second of a core.
+FIRST_RETRY_S, LONGEST_RETRY_S = 0.2, 10.0
 # Of what the process logs at once: DDS logs each packet that it cannot read.
 MOST_LINES = 40
-LEVELS = {"INFO": logging.INFO, "WARNING": logging.WARNING, "ERROR": logging.ERROR}
 # How liblsl marks its lines that warn of nothing.
 NO_WARNING = "INFO|"
-SECTIONS = {"lsl": LslSettings, "ros2": Ros2Settings}
 
 
 class FrameLine(msgspec.Struct, frozen=True, tag_field="type", tag="frame"):
@@ -52,15 +53,22 @@ class FrameLine(msgspec.Struct, frozen=True, tag_field="type", tag="frame"):
     pressure: list[int]
 
 
-class ApartBridge(ConnectedBridge):
+class Outlet(Protocol):
+    """Publishes one pad's events and frames. Raises BridgeError if the process has to be started again."""
+
+    def send_event(self, event: Event) -> None: ...
+    def send_frame(self, frame: Frame) -> None: ...
+
+
+class ApartBridge(Bridge):
     """Sends the events and frames of all pads to a process, and restarts that process when it ends."""
 
-    def __init__(
-        self, name: str, section: LslSettings | Ros2Settings, pads: Sequence[str], computer: str | None = None
-    ) -> None:
-        self._arguments = (name, msgspec.json.encode(section).decode(), computer or own_name(), *pads)
+    def __init__(self, section: LslSettings | Ros2Settings, pads: Sequence[str]) -> None:
+        name = "lsl" if isinstance(section, LslSettings) else "ros2"
+        self._arguments = (name, msgspec.json.encode(section).decode(), *pads)
         self._process: subprocess.Popen[bytes] | None = None
         super().__init__(name, pads, math.inf, "its own process")
+        self._backoff = Backoff(FIRST_RETRY_S, LONGEST_RETRY_S)
 
     def hold(self) -> str:
         with subprocess.Popen(
@@ -126,58 +134,59 @@ class ApartBridge(ConnectedBridge):
                 last = line.decode(errors="replace")
                 if last == READY:
                     self.connected()
-                    continue
-                level, _, text = last.partition(" ")
-                if level in LEVELS:
-                    self._log.log(LEVELS[level], "%s", text)
                 else:
-                    own = logging.INFO if NO_WARNING in last else logging.WARNING
-                    self._log.log(own, "%s: %s", self.name, last)
+                    level = logging.INFO if NO_WARNING in last else logging.WARNING
+                    self._log.log(level, "%s: %s", self.name, last)
         return last
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the bridges of some pads, fed by lines on standard input."""
-    name, section, computer, *pads = arguments
+    """Publish for some pads what comes in lines on standard input."""
     # Ignore signals to the process group: this process ends when the daemon closes its standard input.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    logging.basicConfig(format="%(levelname)s %(message)s", level=logging.INFO)
-    logging.getLogger().handlers[0].addFilter(_end_without_memory)
     try:
-        make = bridge_class(name)
+        _publish(_outlets(*arguments))
     # pylsl raises RuntimeError without liblsl, as on a processor that liblsl is not built for.
     except (ImportError, RuntimeError) as error:
         sys.stderr.write(f"cannot be used on this machine ({' '.join(str(error).split())})\n")
         return 1
-    bridges: dict[str, Bridge] = {
-        pad: make(msgspec.json.decode(section, type=SECTIONS[name]), pad, name=computer) for pad in pads
-    }
-    for bridge in bridges.values():
-        bridge.start()
-        # DDS may have to wait for a network.
-        bridge.opened.wait(OPEN_S)
+    except BridgeError as error:
+        sys.stderr.write(f"{error}\n")
+        return 1
+    except MemoryError:
+        # Python may lack the memory to end in order.
+        os._exit(OUT_OF_MEMORY)
+    return 0
+
+
+def _outlets(name: str, section: str, *pads: str) -> dict[str, Outlet]:
+    """Return an outlet for each pad. section: of the configuration, as JSON."""
+    if name == "lsl":
+        from touchd.daemon.bridges.lsl import LslOutlet
+
+        streams = msgspec.json.decode(section, type=LslSettings)
+        return {pad: LslOutlet(streams, pad) for pad in pads}
+    from touchd.daemon.bridges.ros2 import Ros2Outlet
+
+    topics = msgspec.json.decode(section, type=Ros2Settings)
+    return {pad: Ros2Outlet(topics, pad) for pad in pads}
+
+
+def _publish(outlets: Mapping[str, Outlet]) -> None:
+    """Pass on what comes until standard input ends."""
     _limit_memory()
     sys.stderr.write(f"{READY}\n")
     sys.stderr.flush()
     for line in sys.stdin.buffer:
         item: Any = msgspec.json.decode(line, type=Event | FrameLine)
-        if isinstance(item, FrameLine):
+        if not isinstance(item, FrameLine):
+            for pad in [item.pad] if hasattr(item, "pad") else outlets:
+                outlets[pad].send_event(item)
+        # A slow reader delays frames, and must not delay the events behind them.
+        elif time.monotonic() - item.host_s < STALE_S:
             pressure = np.array(item.pressure, np.uint16).reshape(ROWS, COLUMNS)
-            bridges[item.pad].put_frame(Frame(item.sensor_ms, item.host_s, pressure), item.pad)
-        else:
-            for bridge in bridges.values():
-                bridge.put(item)
-    for bridge in bridges.values():
-        bridge.stop(GOODBYE_S / 2)
-    return 0
-
-
-def _end_without_memory(record: logging.LogRecord) -> bool:
-    """Exit at once when Python runs out of memory; a library that runs out of memory fails in its own way."""
-    if record.exc_info and isinstance(record.exc_info[1], MemoryError):
-        os._exit(OUT_OF_MEMORY)
-    return True
+            outlets[item.pad].send_frame(Frame(item.sensor_ms, item.host_s, pressure))
 
 
 def _limit_memory() -> None:

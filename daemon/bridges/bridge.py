@@ -1,8 +1,6 @@
-"""The base classes of bridges: a bounded queue, a limited frame rate, a connection that is kept open."""
+"""The base class of bridges: a bounded queue, a limited frame rate, a connection that is kept open."""
 
-import importlib
 import logging
-import socket
 import threading
 import time
 from abc import abstractmethod
@@ -15,21 +13,12 @@ from touchd.drivers.errors import TouchdError
 from touchd.drivers.faults import Backoff
 from touchd.drivers.frame import Frame
 
-# Module and class of each section of the configuration.
-BRIDGES = {
-    "mqtt": "mqtt:MqttBridge",
-    "lsl": "lsl:LslBridge",
-    "ros2": "ros2:Ros2Bridge",
-    "rosbridge": "rosbridge:RosbridgeBridge",
-}
 # An event, or a frame and its pad.
 Item: TypeAlias = Event | tuple[Frame, str]
 
 # One second of frames of a pad; more would only delay events.
 MOST_FRAMES = 54
 POLL_S = 0.05
-# Kinds of fault: nothing answers, or the peer ended the connection.
-OUT_OF_REACH, AWAY = "out of reach", "away"
 BACKOFF_FIRST_S, BACKOFF_CAP_S = 0.1, 2.0
 # After a connection that lasted this long, the pauses between attempts begin again with the shortest.
 STEADY_S = 5.0
@@ -38,22 +27,11 @@ STALE_S = 2.0
 GOODBYE_S = 1.0
 # What a peer may send over a connection: at first, for each second, and for each item that it gets. touchd
 # subscribes to next to nothing, but libraries keep whatever comes.
-PEER_FIRST_BYTES, PEER_BYTES_PER_S, PEER_BYTES_PER_ITEM = 16 * 1024, 64.0, 1024
+PEER_FIRST_BYTES, PEER_BYTES_PER_S, PEER_BYTES_PER_ITEM = 16 * 1024, 64, 1024
 
 
 class BridgeError(TouchdError):
     """A bridge cannot be used as configured; the message is one line that says what to do."""
-
-
-def own_name() -> str:
-    """Return the name of this computer, which tells its streams and connections from those of others."""
-    return socket.gethostname()
-
-
-def bridge_class(name: str) -> Any:
-    """Import the bridge of a section; raises ImportError or RuntimeError if its library cannot be loaded."""
-    module, _, kind = BRIDGES[name].partition(":")
-    return getattr(importlib.import_module(f"touchd.daemon.bridges.{module}"), kind)
 
 
 def kind_of(event: Event) -> str:
@@ -71,23 +49,53 @@ class Queued(NamedTuple):
 class Bridge(QueuedSink[Any]):
     """Sends the events of one or several pads to another system, and their frames if configured.
 
-    `open`, `pass_on` and `close` run in the sink's own thread. While the peer is away, events wait for
-    STALE_S and frames are dropped. Other pads' events are ignored.
+    Its queue has a thread, and so has the connection, which is kept open. While the peer is away, events wait
+    for STALE_S and frames are dropped. Other pads' events are ignored.
     frames_hz: at most this many frames a second for each pad; math.inf: all frames; None: none.
-    refused: number of messages that the peer refused. opened: set once `open` has returned.
+    where: the peer's address, for the log. limit: of what the peer may send over the present connection.
+    refused: number of messages that the peer refused.
     """
 
-    def __init__(self, name: str, pads: Sequence[str], frames_hz: float | None) -> None:
+    def __init__(self, name: str, pads: Sequence[str], frames_hz: float | None, where: str) -> None:
         self.pads = frozenset(pads)
         self.frames_hz = frames_hz
         self.refused = 0
-        self.opened = threading.Event()
+        self.limit = PeerLimit()
+        self._where = where
+        self._connection_number = 0
         self._next_frame_s = dict.fromkeys(pads, 0.0)
         self._peer_is_there = threading.Event()
-        self._was_reported = False
         self._there_since_s = 0.0
         self._backoff = Backoff(BACKOFF_FIRST_S, BACKOFF_CAP_S)
+        self._ending = threading.Event()
+        self._keeper = threading.Thread(target=self._keep_connected, name=f"touchd-{name}-link", daemon=True)
         super().__init__(name, logging.getLogger(f"touchd.daemon.bridges.{name}"))
+
+    @abstractmethod
+    def hold(self) -> str:
+        """Connect, call `connected`, and return why the connection ended; runs in the connection's thread.
+
+        If it raises an error, that is logged as the reason.
+        """
+
+    @abstractmethod
+    def send_event(self, event: Event) -> bool:
+        """Send an event; return False if the connection ended before the peer had the event."""
+
+    @abstractmethod
+    def send_frame(self, frame: Frame, pad: str) -> None:
+        """Send a frame, or drop it."""
+
+    @abstractmethod
+    def hang_up(self) -> None:
+        """End the current connection, if any, so that `hold` returns soon."""
+
+    def note(self, event: Event) -> None:
+        """Take what an event changes that has to be known even if it is not sent."""
+
+    def start(self) -> None:
+        self._keeper.start()
+        super().start()
 
     def put(self, item: Item) -> None:
         """Queue an event of these pads or of the robot; never blocks."""
@@ -109,114 +117,22 @@ class Bridge(QueuedSink[Any]):
         else:
             self._items.dropped += 1
 
-    def write(self, item: Queued) -> None:
-        """Pass one item on, or drop it if it is stale."""
-        if not self.pass_on(item.item, item.since_s + STALE_S):
-            self._items.dropped += 1
-
-    @abstractmethod
-    def pass_on(self, item: Item, until_s: float) -> bool:
-        """Send an item; return False if it was not sent before `until_s` (`time.monotonic()`)."""
-
-    @abstractmethod
-    def open(self) -> None:
-        """Create the library's objects; must not wait for the peer."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """Disconnect and free what `open` created."""
-
-    def _run(self) -> None:
-        try:
-            self.open()
-            self.opened.set()
-            super()._run()
-            self.close()
-        except Exception:
-            self._log.exception("%s has failed; the daemon goes on without it", self.name)
-        if self.refused > 1:
-            self._log.warning("%s: %d messages were refused in all", self.name, self.refused)
-
-    def _note_there(self, where: str) -> None:
-        """Note that the peer is connected."""
-        self._there_since_s = time.monotonic()
-        self._peer_is_there.set()
-        if not self._was_reported:
-            self._log.info("%s: connected to %s", self.name, where)
-        self._was_reported = True
-        # A peer that was away and then out of reach has come back once.
-        is_said = self._faults.end(AWAY, f"connected to {where}")
-        self._faults.end(OUT_OF_REACH, "" if is_said else f"connected to {where}")
-
-    def _note_away(self, where: str, reason: str, kind: str = AWAY) -> None:
-        """Note why the peer is away; called after each attempt to reach it."""
-        if self._peer_is_there.is_set() and time.monotonic() - self._there_since_s >= STEADY_S:
-            self._backoff.reset()
-        self._peer_is_there.clear()
-        self._was_reported = True
-        if kind == AWAY:
-            self._faults.end(OUT_OF_REACH, f"{where} answers")
-        self._faults.begin(kind, f"{where} is away ({reason}); trying until it is there")
-
-    def _note_refused(self, why: str) -> None:
-        """Count a message that the peer refused, and log why."""
-        self.refused += 1
-        self._faults.begin("refused", f"the peer refused something ({why})", cause=why)
-
-
-class ConnectedBridge(Bridge):
-    """A bridge over a connection that its own thread keeps open.
-
-    where: the peer's address, for the log. limit: of what the peer may send over the present connection.
-    """
-
-    def __init__(self, name: str, pads: Sequence[str], frames_hz: float | None, where: str) -> None:
-        self._where = where
-        self._connection_number = 0
-        self.limit = PeerLimit()
-        self._ending = threading.Event()
-        self._keeper = threading.Thread(target=self._keep_connected, name=f"touchd-{name}-link", daemon=True)
-        super().__init__(name, pads, frames_hz)
-
-    def note(self, event: Event) -> None:
-        """Take what an event changes that has to be known even if it is not sent."""
-
-    @abstractmethod
-    def hold(self) -> str:
-        """Connect, call `connected`, and return why the connection ended; runs in the keeper's thread.
-
-        If it raises an error, that is logged as the reason.
-        """
-
-    @abstractmethod
-    def send_event(self, event: Event) -> bool:
-        """Send an event; return False if the connection ended before the peer had the event."""
-
-    @abstractmethod
-    def send_frame(self, frame: Frame, pad: str) -> None:
-        """Send a frame, or drop it."""
-
-    @abstractmethod
-    def hang_up(self) -> None:
-        """End the current connection, if any, so that `hold` returns soon."""
-
-    def open(self) -> None:
-        self._keeper.start()
-
-    def pass_on(self, item: Item, until_s: float) -> bool:
-        """Send one item. An event is sent again over the next connection if this one is lost."""
+    def write(self, queued: Queued) -> None:
+        """Send one item; an event that is lost with its connection is sent again over the next."""
+        item, until_s = queued.item, queued.since_s + STALE_S
         self.limit.sent()
         if isinstance(item, tuple):
             self.send_frame(*item)
-            return True
+            return
         self.note(item)
         tried = 0
         while tried := self._await_connection(tried, until_s):
             if self.send_event(item):
-                return True
-        return False
+                return
+        self._items.dropped += 1
 
     def close(self) -> None:
+        """Disconnect."""
         self._ending.set()
         self.hang_up()
         self._keeper.join(GOODBYE_S)
@@ -224,11 +140,25 @@ class ConnectedBridge(Bridge):
     def connected(self) -> None:
         """Note that the peer is connected, so that events can be sent."""
         self._connection_number += 1
-        self._note_there(self._where)
+        self._there_since_s = time.monotonic()
+        self._peer_is_there.set()
+        if not self._faults.end("away", f"connected to {self._where}") and self._connection_number == 1:
+            self._log.info("%s: connected to %s", self.name, self._where)
+
+    def note_refused(self, why: str) -> None:
+        """Count a message that the peer refused, and log why."""
+        self.refused += 1
+        self._faults.begin("refused", f"the peer refused something ({why})", cause=why)
 
     def is_over(self, connection: int) -> bool:
         """Whether this connection, by its number, has ended."""
         return connection != self._connection_number or not self._peer_is_there.is_set()
+
+    def _run(self) -> None:
+        super()._run()
+        self.close()
+        if self.refused > 1:
+            self._log.warning("%s: %d messages were refused in all", self.name, self.refused)
 
     def _await_connection(self, after: int, until_s: float) -> int:
         """Wait for a connection other than number `after`; return its number, 0 if none came in time."""
@@ -243,15 +173,19 @@ class ConnectedBridge(Bridge):
         while not self._ending.is_set():
             self.limit = PeerLimit()
             try:
-                kind, reason = AWAY, self.hold()
+                reason = self.hold()
             except OSError as error:
-                kind, reason = OUT_OF_REACH, f"cannot be reached: {error.strerror or error}"
+                reason = f"cannot be reached: {error.strerror or error}"
             # A peer's bytes can make libraries raise undocumented errors.
             except Exception as error:
-                kind, reason = AWAY, f"{type(error).__name__}: {error}"
+                reason = f"{type(error).__name__}: {error}"
             if self._ending.is_set():
                 return
-            self._note_away(self._where, reason, kind)
+            if self._peer_is_there.is_set() and time.monotonic() - self._there_since_s >= STEADY_S:
+                self._backoff.reset()
+            self._peer_is_there.clear()
+            away = f"{self._where} is away ({reason}); trying until it is there"
+            self._faults.begin("away", away, cause=reason)
             self._ending.wait(self._backoff.pause_s())
 
 
@@ -260,19 +194,19 @@ class PeerLimit:
 
     def __init__(self) -> None:
         self.is_exceeded = False
-        self._left = float(PEER_FIRST_BYTES)
-        self._counted_s = time.monotonic()
+        self._began_s = time.monotonic()
+        self._sent = self._received = 0
 
     def sent(self) -> None:
         """Note that the peer gets an item, which it may answer."""
-        self._left += PEER_BYTES_PER_ITEM
+        self._sent += 1
 
     def take(self, count: int) -> bool:
         """Count received bytes; return whether they are within the limit."""
-        now_s = time.monotonic()
-        self._left += PEER_BYTES_PER_S * (now_s - self._counted_s) - count
-        self._counted_s = now_s
-        self.is_exceeded |= self._left < 0
+        self._received += count
+        for_time = PEER_BYTES_PER_S * (time.monotonic() - self._began_s)
+        most = PEER_FIRST_BYTES + for_time + PEER_BYTES_PER_ITEM * self._sent
+        self.is_exceeded |= self._received > most
         return not self.is_exceeded
 
 

@@ -4,8 +4,8 @@ import importlib.util
 from collections.abc import Mapping
 
 from touchd.daemon.app.config import Settings
-from touchd.daemon.bridges.bridge import Bridge, BridgeError, bridge_class
-from touchd.daemon.bridges.settings import LslSettings, Ros2Settings
+from touchd.daemon.bridges.bridge import Bridge, BridgeError
+from touchd.daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings
 from touchd.daemon.path.decide import told_in
 from touchd.drivers.installed import EXTRAS, how_to_install
 from touchd.model.classifier import Classifier
@@ -26,9 +26,14 @@ def make_bridges(settings: Settings, models: Mapping[str, Classifier]) -> tuple[
         if isinstance(section, LslSettings | Ros2Settings):
             from touchd.daemon.bridges.apart import ApartBridge
 
-            bridges.append(ApartBridge(name, section, tuple(settings.pads), settings.name))
-            continue
-        make = bridge_class(name)
-        for pad, own in settings.pads.items():
-            bridges.append(make(section, pad, told_in(own.scene.gestures, models[pad].labels), settings.name))
+            bridges.append(ApartBridge(section, tuple(settings.pads)))
+        elif isinstance(section, MqttSettings):
+            from touchd.daemon.bridges.mqtt import MqttBridge
+
+            for pad, own in settings.pads.items():
+                bridges.append(MqttBridge(section, pad, told_in(own.scene.gestures, models[pad].labels)))
+        else:
+            from touchd.daemon.bridges.rosbridge import RosbridgeBridge
+
+            bridges += (RosbridgeBridge(section, pad) for pad in settings.pads)
     return tuple(bridges)

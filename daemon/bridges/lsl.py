@@ -1,31 +1,25 @@
-"""Streams markers and the pad's pressure over the Lab Streaming Layer, on the lab's common clock."""
+"""Streams markers and a pad's pressure over the Lab Streaming Layer, on the lab's common clock."""
 
-import math
+import socket
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import pylsl
 from msgspec import UNSET
 
-from touchd.daemon.bridges.bridge import Bridge, Item, kind_of, own_name
+from touchd.daemon.bridges.bridge import kind_of
 from touchd.daemon.bridges.settings import LslSettings
 from touchd.daemon.path.events import Event, Prediction, epoch_s
-from touchd.drivers.frame import COLUMNS, ROWS
+from touchd.drivers.frame import COLUMNS, ROWS, Frame
 
 LOOKS = 10
 
 
-class LslBridge(Bridge):
+class LslOutlet:
     """Pushes markers and frames with their own timestamps; listeners may come and go."""
 
-    def __init__(
-        self, settings: LslSettings, pad: str, labels: Sequence[str] = (), name: str | None = None
-    ) -> None:
+    def __init__(self, settings: LslSettings, pad: str) -> None:
         self._stream = f"{settings.name}-{pad}"
-        self._computer = name or own_name()
-        super().__init__("lsl", [pad], math.inf)
-
-    def open(self) -> None:
         # Both clocks are monotonic, so a frame's stamp is exact however late it is sent.
         self._ahead_s = _ahead_of(time.monotonic)
         self._markers = pylsl.StreamOutlet(self._info("markers", "Markers", 1, "string"))
@@ -33,26 +27,18 @@ class LslBridge(Bridge):
         pressure.set_channel_labels([f"r{row}c{column}" for row in range(ROWS) for column in range(COLUMNS)])
         pressure.set_channel_units("counts")
         self._pressure = pylsl.StreamOutlet(pressure)
-        self._peer_is_there.set()
 
-    def pass_on(self, item: Item, until_s: float) -> bool:
-        if time.monotonic() > until_s:
-            return False
-        if isinstance(item, tuple):
-            frame, _ = item
-            self._pressure.push_sample(frame.pressure.ravel().tolist(), frame.host_s + self._ahead_s)
-        else:
-            self._markers.push_sample([marker_of(item)], epoch_s(item.time) + _ahead_of(time.time))
-        return True
+    def send_event(self, event: Event) -> None:
+        self._markers.push_sample([marker_of(event)], epoch_s(event.time) + _ahead_of(time.time))
 
-    def close(self) -> None:
-        del self._markers, self._pressure
+    def send_frame(self, frame: Frame) -> None:
+        self._pressure.push_sample(frame.pressure.ravel().tolist(), frame.host_s + self._ahead_s)
 
     def _info(self, name: str, kind: str, channels: int, form: str) -> pylsl.StreamInfo:
         # Each sample has its time, and pads differ in rate. With the same source_id an inlet finds the stream
         # again after touchd was restarted; another computer's stream must not have it.
         full = f"{self._stream}-{name}"
-        source = f"{self._computer}-{full}"
+        source = f"{socket.gethostname()}-{full}"
         return pylsl.StreamInfo(full, kind, channels, pylsl.IRREGULAR_RATE, form, source_id=source)
 
 

@@ -17,11 +17,10 @@ from paho.mqtt.reasoncodes import ReasonCode
 from touchd.daemon.bridges.bridge import (
     MOST_FRAMES,
     POLL_S,
+    Bridge,
     BridgeError,
-    ConnectedBridge,
     PeerLimit,
     arrival_s,
-    own_name,
 )
 from touchd.daemon.bridges.settings import MqttSettings
 from touchd.daemon.path.events import UNCERTAIN, Event, SensorEvent, TouchBegan, TouchEnded, encode, timestamp
@@ -45,18 +44,16 @@ TO_HOME_ASSISTANT = (
 )
 
 
-class MqttBridge(ConnectedBridge):
+class MqttBridge(Bridge):
     """Publishes each event with QoS 1, one at a time and in order, and the state as a retained message.
 
     The state is the pad's (see `SensorEvent`), "stopped" (touchd has ended) or, as the last will, "lost".
     With `discovery` it announces the pad to Home Assistant and publishes whether it is touched.
     It speaks MQTT 5, in which a broker says what it refuses, and 3.1.1 with brokers that lack it.
-    labels: the gestures that an answer can have. name: of this computer, see `own_name`.
+    labels: the gestures that an answer can have.
     """
 
-    def __init__(
-        self, settings: MqttSettings, pad: str, labels: Sequence[str] = (), name: str | None = None
-    ) -> None:
+    def __init__(self, settings: MqttSettings, pad: str, labels: Sequence[str] = ()) -> None:
         self._settings = settings
         self._labels = labels
         self._topic = f"{settings.topic}/{pad}"
@@ -65,7 +62,7 @@ class MqttBridge(ConnectedBridge):
         self._retaining = threading.RLock()
         # With the same name, a new connection replaces a lost one, whose last will the broker still holds. By
         # its random end, the clients of cloned computers do not end each other's connections.
-        self._client_id = entity_of(f"touchd_{name or own_name()}_{self._topic}_{secrets.token_hex(4)}")
+        self._client_id = entity_of(f"touchd_{socket.gethostname()}_{self._topic}_{secrets.token_hex(4)}")
         self._version = MQTTProtocolVersion.MQTTv5
         self._client: _Client | None = None
         # Raises what is wrong with the files now; each connection reads them again.
@@ -150,7 +147,7 @@ class MqttBridge(ConnectedBridge):
         assert isinstance(client, _Client)
         topic = client.topics.pop(mid, "a message")
         if code.is_failure:
-            self._note_refused(f"{topic}: {_words(code, properties)}")
+            self.note_refused(f"{topic}: {_words(code, properties)}")
 
     def _on_message(self, client: mqtt.Client, _data: Any, message: mqtt.MQTTMessage) -> None:
         assert isinstance(client, _Client)

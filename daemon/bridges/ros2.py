@@ -3,11 +3,11 @@
 cyclonedds reads the annotations at run time, so do not use `from __future__ import annotations` here.
 """
 
-import math
+import logging
+import socket
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from cyclonedds.core import DDSException
 from cyclonedds.domain import DomainParticipant
@@ -19,17 +19,16 @@ from cyclonedds.qos import Policy, Qos
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
-from touchd.daemon.bridges.bridge import Bridge, Item, arrival_s, own_name
+from touchd.daemon.bridges.bridge import BridgeError, arrival_s
 from touchd.daemon.bridges.settings import Ros2Settings
-from touchd.daemon.live.own_addresses import own_addresses
-from touchd.daemon.path.events import Prediction, encode
-from touchd.drivers.faults import Backoff
+from touchd.daemon.path.events import Event, Prediction, encode
+from touchd.drivers.faults import FaultLog
 from touchd.drivers.frame import COLUMNS, ROWS, Frame
+from touchd.drivers.hosts import own_addresses
 
 BYTES_PER_TAXEL = 2
-# DDS chooses a network when it starts. Interval of checks for a change, and pauses of retries without one.
+# Interval of checks whether the network has changed.
 LOOK_S = 5.0
-FIRST_RETRY_S, LONGEST_RETRY_S = 1.0, 10.0
 
 # The defaults of rclpy and rclcpp. A reliable writer suits reliable and best-effort readers.
 QOS = Qos(
@@ -97,72 +96,48 @@ def image(frame: Frame, pad: str) -> Image:
 Message = TypeVar("Message", String, Image)
 
 
-class Ros2Bridge(Bridge):
-    """Publishes gesture (a String, told ones only), event (JSON in a String) and pressure (an Image)."""
+class Ros2Outlet:
+    """Publishes gesture (a String, told ones only), event (JSON in a String) and pressure (an Image).
 
-    def __init__(
-        self, settings: Ros2Settings, pad: str, labels: Sequence[str] = (), name: str | None = None
-    ) -> None:
-        self._settings = settings
-        self._computer = name or own_name()
-        self._addresses: set[str] = set()
-        self._looked_s = 0.0
-        self._writers: dict[str, DataWriter[Any]] = {}
-        self._pad = pad
-        super().__init__("ros2", [pad], math.inf)
+    Raises BridgeError when this computer has no network, or another than it had at first.
+    """
 
-    def open(self) -> None:
-        backoff = Backoff(FIRST_RETRY_S, LONGEST_RETRY_S)
-        while not self._abandoned.is_set():
-            try:
-                self._join()
-                return
-            except DDSException as error:
-                self._note_away("a network for DDS", str(error).splitlines()[0])
-                self._abandoned.wait(backoff.pause_s())
-
-    def _join(self) -> None:
-        """Join DDS over the current network; raises DDSException if there is none."""
+    def __init__(self, settings: Ros2Settings, pad: str) -> None:
+        # DDS chooses a network when it starts.
         self._addresses, self._looked_s = set(own_addresses()), time.monotonic()
-        participant = DomainParticipant(
-            self._settings.domain, Qos(Policy.EntityName(f"touchd_{self._computer}"))
-        )
+        self._faults = FaultLog(logging.getLogger(__name__))
+        try:
+            participant = DomainParticipant(
+                settings.domain, Qos(Policy.EntityName(f"touchd_{socket.gethostname()}"))
+            )
+        except DDSException as error:
+            raise BridgeError(f"no network for DDS ({str(error).splitlines()[0]})") from error
         publisher = Publisher(participant)
         # ROS 2 prefixes the names of its DDS topics with rt.
-        prefix = f"rt{self._settings.namespace}/{self._pad}"
+        prefix = f"rt{settings.namespace}/{pad}"
 
         def writer(name: str, kind: type[Message]) -> DataWriter[Message]:
             return DataWriter(publisher, Topic(participant, f"{prefix}/{name}", kind), QOS)
 
-        self._writers = {
-            "gesture": writer("gesture", String),
-            "event": writer("event", String),
-            "pressure": writer("pressure", Image),
-        }
-        self._note_there("DDS")
+        self._gesture, self._event = writer("gesture", String), writer("event", String)
+        self._pressure = writer("pressure", Image)
+        self._pad = pad
 
-    def pass_on(self, item: Item, until_s: float) -> bool:
+    def send_event(self, event: Event) -> None:
+        if isinstance(event, Prediction) and event.told:
+            self._write(self._gesture, String(event.gesture))
+        self._write(self._event, String(encode(event).decode()))
+
+    def send_frame(self, frame: Frame) -> None:
+        self._write(self._pressure, image(frame, self._pad))
+
+    def _write(self, writer: DataWriter[Message], message: Message) -> None:
         if time.monotonic() - self._looked_s > LOOK_S:
             self._looked_s = time.monotonic()
             if set(own_addresses()) != self._addresses:
-                self._log.info("ros2: the network has changed; joining again")
-                # DDS chooses again once all pads of this process have left; each leaves within this time.
-                self._writers.clear()
-                self._abandoned.wait(2 * LOOK_S)
-                self.open()
-        if not self._writers or time.monotonic() > until_s:
-            return False
+                raise BridgeError("the network has changed")
         try:
-            if isinstance(item, tuple):
-                self._writers["pressure"].write(image(*item))
-                return True
-            if isinstance(item, Prediction) and item.told:
-                self._writers["gesture"].write(String(item.gesture))
-            self._writers["event"].write(String(encode(item).decode()))
+            writer.write(message)
         # Raised, for example, when a reader accepts nothing.
         except DDSException as error:
-            self._note_refused(str(error).splitlines()[0])
-        return True
-
-    def close(self) -> None:
-        self._writers.clear()
+            self._faults.begin("refused", f"a message was refused ({str(error).splitlines()[0]})")

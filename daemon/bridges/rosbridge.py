@@ -12,7 +12,7 @@ from websockets.client import ClientProtocol
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
-from touchd.daemon.bridges.bridge import ConnectedBridge, PeerLimit, own_name
+from touchd.daemon.bridges.bridge import Bridge, PeerLimit
 from touchd.daemon.bridges.settings import RosbridgeSettings
 from touchd.daemon.path.events import Event, Prediction, encode
 from touchd.drivers import hosts
@@ -33,24 +33,19 @@ UNTAKEN_MS = 10_000
 STRING, IMAGE = "std_msgs/String", "sensor_msgs/Image"
 
 
-class RosbridgeBridge(ConnectedBridge):
+class RosbridgeBridge(Bridge):
     """Publishes the topics of `Ros2Bridge`."""
 
-    def __init__(
-        self, settings: RosbridgeSettings, pad: str, labels: Sequence[str] = (), name: str | None = None
-    ) -> None:
+    def __init__(self, settings: RosbridgeSettings, pad: str) -> None:
         self._settings = settings
-        self._id = f"touchd_{name or own_name()}"
+        self._id = f"touchd_{socket.gethostname()}"
         self._prefix = f"{settings.namespace}/{pad}"
         self._connection: ClientConnection | None = None
         # With the topic, as each pad has a connection of its own.
         where = f"{settings.shown_url} ({self._prefix})"
-        super().__init__("rosbridge", [pad], settings.pressure_hz, where)
-
-    def open(self) -> None:
         # The bridge logs why a connection ended; the library's own lines would show the URL's token.
         logging.getLogger("websockets.client").setLevel(logging.CRITICAL)
-        super().open()
+        super().__init__("rosbridge", [pad], settings.pressure_hz, where)
 
     def hold(self) -> str:
         url, limit = self._settings.url, self.limit
@@ -92,7 +87,7 @@ class RosbridgeBridge(ConnectedBridge):
         with suppress(msgspec.DecodeError, UnicodeDecodeError, RecursionError):
             status = msgspec.json.decode(message, type=_Status)
             if status.level == "error":
-                self._note_refused(str(status.msg))
+                self.note_refused(str(status.msg))
 
     def _send(self, messages: Sequence[str]) -> bool:
         connection = self._connection

@@ -10,8 +10,8 @@ import socket
 import msgspec
 
 from touchd.daemon.app.config import ConfigError, LiveSettings
-from touchd.daemon.live.own_addresses import own_addresses
 from touchd.drivers.errors import TouchdError
+from touchd.drivers.hosts import own_addresses
 
 log = logging.getLogger(__name__)
 

@@ -6,7 +6,6 @@ import socket
 import threading
 import time
 from collections.abc import Callable
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +40,7 @@ def test_a_library_that_cannot_be_loaded_is_named(
 ) -> None:
     (tmp_path / "pylsl.py").write_text('raise RuntimeError("LSL binary not found.\\nSee the manual.")')
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    bridge = ApartBridge("lsl", LslSettings(), [PAD])
+    bridge = ApartBridge(LslSettings(), [PAD])
     bridge.start()
     wait_for(lambda: "is away" in caplog.text)
     bridge.stop(2.0)
@@ -58,7 +57,7 @@ def test_what_liblsl_says_as_it_starts_is_no_warning(
     (tmp_path / "pylsl.py").write_text(f"{says}\nraise RuntimeError('ended')")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     caplog.set_level(logging.INFO)
-    bridge = ApartBridge("lsl", LslSettings(), [PAD])
+    bridge = ApartBridge(LslSettings(), [PAD])
     bridge.start()
     wait_for(lambda: "is away" in caplog.text)
     bridge.stop(2.0)
@@ -72,22 +71,19 @@ def test_a_missing_extra_is_one_line_at_the_start(monkeypatch: pytest.MonkeyPatc
         make_bridges(Settings(lsl=LslSettings()), {PAD: Scripted()})
 
 
-def lsl_bridge(peer: LslPeer) -> Any:
-    """Return a started bridge in this process."""
-    from touchd.daemon.bridges.lsl import LslBridge
+def lsl_outlet(peer: LslPeer) -> Any:
+    """Return what the bridge's own process publishes with."""
+    from touchd.daemon.bridges.lsl import LslOutlet
 
-    bridge = LslBridge(LslSettings(name=peer.name), PAD)
-    bridge.start()
-    bridge.opened.wait()
-    return bridge
+    return LslOutlet(LslSettings(name=peer.name), PAD)
 
 
 def test_lsl_frames_carry_their_arrival_time_within_2_ms(tmp_path: Path) -> None:
     pylsl = pytest.importorskip("pylsl")
     peer = LslPeer(tmp_path)
-    bridge = lsl_bridge(peer)
+    outlet = lsl_outlet(peer)
     inlet = inlet_of(f"{peer.name}-{PAD}-pressure", threading.Event())
-    wait_for(lambda: bridge._pressure.have_consumers())
+    wait_for(lambda: outlet._pressure.have_consumers())
     # The true arrival on LSL's clock lies between the first and the last of these.
     arrived: list[tuple[float, float]] = []
     for number in range(27):
@@ -95,41 +91,24 @@ def test_lsl_frames_carry_their_arrival_time_within_2_ms(tmp_path: Path) -> None
         # Send frames up to a quarter of a second after they arrived.
         late_s = 0.01 * number
         arrived.append((before_s - late_s, after_s - late_s))
-        bridge.put_frame(frame(number, now_s - late_s), PAD)
+        outlet.send_frame(frame(number, now_s - late_s))
         time.sleep(1 / 54)
     pulled = [inlet.pull_sample(timeout=WITHIN_S) for _ in range(27)]
     info = inlet.info()
-    bridge.stop(2.0)
     assert (info.channel_count(), info.nominal_srate()) == (64, pylsl.IRREGULAR_RATE)
+    # Tells the streams of two computers apart.
+    assert info.source_id() == f"{socket.gethostname()}-{peer.name}-{PAD}-pressure"
     np.testing.assert_array_equal(pulled[5][0], frame(5).pressure.ravel())
     for (_, stamped_s), (first_s, last_s) in zip(pulled, arrived, strict=True):
         assert first_s - 0.002 < stamped_s < last_s + 0.002
 
 
-def test_streams_of_two_computers_can_be_told_apart(tmp_path: Path) -> None:
-    pylsl = pytest.importorskip("pylsl")
-    peer = LslPeer(tmp_path)
-    section = LslSettings(name=peer.name)
-    bridges = [ApartBridge("lsl", section, [PAD], computer) for computer in ("nao-a", "nao-b")]
-    for bridge in bridges:
-        bridge.start()
-
-    def sources() -> set[str]:
-        found = pylsl.resolve_byprop("name", f"{peer.name}-{PAD}-markers", minimum=2, timeout=1.0)
-        return {info.source_id() for info in found}
-
-    expected = {f"nao-{letter}-{peer.name}-{PAD}-markers" for letter in "ab"}
-    wait_for(lambda: sources() == expected)
-    for bridge in bridges:
-        bridge.stop(2.0)
-
-
 def test_lsl_markers_carry_the_events_time(tmp_path: Path) -> None:
     pylsl = pytest.importorskip("pylsl")
     peer = LslPeer(tmp_path)
-    bridge = lsl_bridge(peer)
+    outlet = lsl_outlet(peer)
     inlet = inlet_of(f"{peer.name}-{PAD}-markers", threading.Event())
-    wait_for(lambda: bridge._markers.have_consumers())
+    wait_for(lambda: outlet._markers.have_consumers())
     ago = timestamp(time.time() - 1.0)
     ago_s = pylsl.local_clock() - 1.0
     for event in (
@@ -141,9 +120,8 @@ def test_lsl_markers_carry_the_events_time(tmp_path: Path) -> None:
         RobotAction(touch=1, action="say", what="Hello", time=ago),
         Label(touch=1, began=ago, gesture="rub", time=ago, tags={"participant": "P07", "trial": "3"}),
     ):
-        bridge.put(event)
+        outlet.send_event(event)
     pulled = [inlet.pull_sample(timeout=WITHIN_S) for _ in range(7)]
-    bridge.stop(2.0)
     markers = [sample[0] for sample, _ in pulled]
     assert markers == [
         "touch_began",
@@ -204,52 +182,27 @@ def test_ros2_nodes_find_and_receive_the_topics(tmp_path: Path) -> None:
     assert picture.header.stamp.sec == pytest.approx(time.time(), abs=5)
 
 
-def test_ros2_waits_for_a_network_and_ends_without_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+def test_ros2_starts_again_where_the_network_is_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("cyclonedds")
     from cyclonedds.core import DDSException
 
     from touchd.daemon.bridges import ros2
 
-    monkeypatch.setattr(ros2, "FIRST_RETRY_S", 0.01)
-    monkeypatch.setattr(ros2, "LOOK_S", 0.05)
-    peer = Ros2Peer(tmp_path)
-    bridge = ros2.Ros2Bridge(Ros2Settings(domain=peer.domain), PAD)
-    join = bridge._join
-
-    def fail() -> None:
+    def fail(*_: object) -> None:
         raise DDSException(DDSException.DDS_RETCODE_ERROR)
 
-    def fail_once() -> None:
-        monkeypatch.setattr(bridge, "_join", join)
-        fail()
-
-    def received() -> bool:
-        bridge.put(PREDICTION)
-        time.sleep(0.05)
-        return bool(peer.received)
-
-    monkeypatch.setattr(bridge, "_join", fail_once)
-    with caplog.at_level("INFO"), closing(peer):
-        peer.start()
-        bridge.start()
-        wait_for(received)
-        monkeypatch.setattr(ros2, "own_addresses", lambda: ["192.0.2.7"])
-        wait_for(lambda: received() and "the network has changed" in caplog.text)
-        peer.received.clear()
-        wait_for(received)
-        monkeypatch.setattr(bridge, "_join", fail)
-        monkeypatch.setattr(ros2, "own_addresses", lambda: ["192.0.2.8"])
-        wait_for(lambda: received() and caplog.text.count("the network has changed") == 2)
-        assert [message.partition(" (")[0] for message in caplog.messages] == [
-            "ros2: a network for DDS is away",
-            "ros2: connected to DDS",
-            "ros2: the network has changed; joining again",
-            "ros2: the network has changed; joining again",
-        ]
-        bridge.stop(2.0)
-    assert {record.exc_info for record in caplog.records} == {None}
+    settings = Ros2Settings(domain=Ros2Peer(tmp_path).domain)
+    monkeypatch.setattr(ros2, "LOOK_S", 0.0)
+    outlet = ros2.Ros2Outlet(settings, PAD)
+    outlet.send_event(PREDICTION)
+    monkeypatch.setattr(ros2, "own_addresses", lambda: ["192.0.2.7"])
+    with pytest.raises(BridgeError, match="the network has changed"):
+        outlet.send_event(PREDICTION)
+    monkeypatch.setattr(ros2, "DomainParticipant", fail)
+    with pytest.raises(BridgeError, match="no network for DDS"):
+        ros2.Ros2Outlet(settings, PAD)
 
 
 def test_ros2_bytes_are_those_of_the_public_definitions() -> None:

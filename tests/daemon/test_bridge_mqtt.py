@@ -52,9 +52,8 @@ Open = Callable[..., Bridge]
 
 
 def made(port: int, **settings: Any) -> list[Bridge]:
-    name = settings.pop("name", None)
     mqtt = MqttSettings(**({"host": "127.0.0.1", "port": port} | settings))
-    return list(make_bridges(Settings(mqtt=mqtt, name=name), {"pad": Scripted()}))
+    return list(make_bridges(Settings(mqtt=mqtt), {"pad": Scripted()}))
 
 
 @pytest.fixture
@@ -211,11 +210,10 @@ def test_a_refusal_is_logged_once_and_a_corrected_password_used(
         wait_for(lambda: "cannot be reached" in caplog.text)
         with broker(tmp_path, port, only_robot(tmp_path)):
             wait_for(lambda: "Not authorized" in caplog.text)
-            time.sleep(0.5)
             password.write_text("s3cret")
             wait_for(lambda: "connected to" in caplog.text)
             said = list(caplog.messages)
-    parts = ("cannot be reached", "answers (after", "Not authorized", "connected to")
+    parts = ("cannot be reached", "Not authorized", "connected to")
     for line, part in zip(said, parts, strict=True):
         assert part in line
 
@@ -278,15 +276,15 @@ def test_the_state_that_changed_while_the_broker_was_away_is_retained(
 
 
 def test_two_computers_with_one_topic_do_not_end_each_others_connections(
-    tmp_path: Path, opened: Open, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, opened: Open
 ) -> None:
     port, log = free_port(), tmp_path / "log"
     lines = f"allow_anonymous true\nlog_dest file {log}\nuser root\n"
     with broker(tmp_path, port, lines), subscribed(port, "touchd/#") as messages:
-        for number, name in enumerate(("nao-a", "nao-b", "nao-b"), 1):
-            put(opened(port, name=name), number, messages)
-        connected = re.findall(r"as touchd_(nao-.)_touchd_pad_", log.read_text())
-    assert connected == ["nao-a", "nao-b", "nao-b"]
+        for number in (1, 2):
+            put(opened(port), number, messages)
+        connected = re.findall(rf"as touchd_{socket.gethostname()}_touchd_pad_", log.read_text())
+    assert len(connected) == 2
 
 
 def publish(port: int, topic: str, payload: str, retain: bool = True) -> None:

@@ -232,7 +232,7 @@ class LslPeer(Peer):
         self.name = f"test{free_port()}"
 
     def make(self) -> Bridge:
-        return ApartBridge("lsl", LslSettings(name=self.name), [PAD])
+        return ApartBridge(LslSettings(name=self.name), [PAD])
 
     def listening(self) -> AbstractContextManager[None]:
         return in_thread(self._listen)
@@ -266,7 +266,7 @@ class Ros2Peer(Peer):
         self.domain = 100 + free_port() % 100
 
     def make(self) -> Bridge:
-        return ApartBridge("ros2", Ros2Settings(domain=self.domain), [PAD])
+        return ApartBridge(Ros2Settings(domain=self.domain), [PAD])
 
     @contextmanager
     def listening(self) -> Iterator[None]:
