@@ -16,7 +16,14 @@ import msgspec
 
 from touchd.daemon.app.strict_yaml import ConfigError as ConfigError
 from touchd.daemon.app.strict_yaml import convert
-from touchd.daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings, RosbridgeSettings, Section
+from touchd.daemon.bridges.settings import (
+    LslSettings,
+    MqttSettings,
+    RobotName,
+    Ros2Settings,
+    RosbridgeSettings,
+    Section,
+)
 from touchd.daemon.path.decide import DecisionSettings
 from touchd.daemon.path.pipeline import PipelineSettings
 from touchd.daemon.path.tracker.tracker import TouchSettings
@@ -160,7 +167,7 @@ class Words(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """All settings of `touchd run`. sensor: the only pad. sensors: instead of it, several by their names.
 
-    name: tells this computer from others on its networks; by default its host name.
+    name: tells this robot's topics and streams from those of others.
     """
 
     sensor: SensorSettings = SensorSettings()
@@ -175,7 +182,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     lsl: LslSettings | None = None
     ros2: Ros2Settings | None = None
     rosbridge: RosbridgeSettings | None = None
-    name: Annotated[str, msgspec.Meta(pattern=r"^[^\s/+#]{1,64}$")] | None = None
+    name: RobotName = "touchd"
     language: Language = "en"
     words: dict[str, Words] = {}
     log_level: Literal["debug", "info", "warning", "error"] = "info"

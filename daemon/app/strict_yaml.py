@@ -47,8 +47,7 @@ KINDS = {
 FORMS = {
     "discovery": "discovery: homeassistant",
     "host": "host: broker.local",
-    "namespace": "namespace: /touchd",
-    "topic": "topic: lab/nao1",
+    "name": "name: lab/nao1",
     "url": "url: ws://robot:9090",
 }
 # Sections that look as if they took a single value.
@@ -56,7 +55,7 @@ EXAMPLES = {
     "words": "words: {stroke: {name: caress, phrase: a caress}}",
     "journal": "journal: {path: events.jsonl}",
     "live": "live: {port: 8054}",
-    "lsl": "lsl: {name: touchd}",
+    "lsl": "lsl: {}",
     "mqtt": "mqtt: {host: broker.local}",
     "robot": "robot: {url: 'tcp://nao.local:9559'}",
     "rosbridge": "rosbridge: {url: 'ws://robot:9090'}",

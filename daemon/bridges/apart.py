@@ -61,13 +61,16 @@ class Outlet(Protocol):
 
 
 class ApartBridge(Bridge):
-    """Sends the events and frames of all pads to a process, and restarts that process when it ends."""
+    """Sends the events and frames of all pads to a process, and restarts that process when it ends.
 
-    def __init__(self, section: LslSettings | Ros2Settings, pads: Sequence[str]) -> None:
-        name = "lsl" if isinstance(section, LslSettings) else "ros2"
-        self._arguments = (name, msgspec.json.encode(section).decode(), *pads)
+    name: of the robot.
+    """
+
+    def __init__(self, section: LslSettings | Ros2Settings, name: str, pads: Sequence[str]) -> None:
+        library, domain = ("ros2", section.domain) if isinstance(section, Ros2Settings) else ("lsl", 0)
+        self._arguments = (library, str(domain), name, *pads)
         self._process: subprocess.Popen[bytes] | None = None
-        super().__init__(name, pads, math.inf, "its own process")
+        super().__init__(library, pads, math.inf, "its own process")
         self._backoff = Backoff(FIRST_RETRY_S, LONGEST_RETRY_S)
 
     def hold(self) -> str:
@@ -160,17 +163,15 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def _outlets(name: str, section: str, *pads: str) -> dict[str, Outlet]:
-    """Return an outlet for each pad. section: of the configuration, as JSON."""
-    if name == "lsl":
+def _outlets(library: str, domain: str, name: str, *pads: str) -> dict[str, Outlet]:
+    """Return an outlet for each pad. domain: of ROS 2. name: of the robot."""
+    if library == "lsl":
         from touchd.daemon.bridges.lsl import LslOutlet
 
-        streams = msgspec.json.decode(section, type=LslSettings)
-        return {pad: LslOutlet(streams, pad) for pad in pads}
+        return {pad: LslOutlet(name, pad) for pad in pads}
     from touchd.daemon.bridges.ros2 import Ros2Outlet
 
-    topics = msgspec.json.decode(section, type=Ros2Settings)
-    return {pad: Ros2Outlet(topics, pad) for pad in pads}
+    return {pad: Ros2Outlet(int(domain), name, pad) for pad in pads}
 
 
 def _publish(outlets: Mapping[str, Outlet]) -> None:

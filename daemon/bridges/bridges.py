@@ -26,14 +26,15 @@ def make_bridges(settings: Settings, models: Mapping[str, Classifier]) -> tuple[
         if isinstance(section, LslSettings | Ros2Settings):
             from touchd.daemon.bridges.apart import ApartBridge
 
-            bridges.append(ApartBridge(section, tuple(settings.pads)))
+            bridges.append(ApartBridge(section, settings.name, tuple(settings.pads)))
         elif isinstance(section, MqttSettings):
             from touchd.daemon.bridges.mqtt import MqttBridge
 
             for pad, own in settings.pads.items():
-                bridges.append(MqttBridge(section, pad, told_in(own.scene.gestures, models[pad].labels)))
+                labels = told_in(own.scene.gestures, models[pad].labels)
+                bridges.append(MqttBridge(section, settings.name, pad, labels))
         else:
             from touchd.daemon.bridges.rosbridge import RosbridgeBridge
 
-            bridges += (RosbridgeBridge(section, pad) for pad in settings.pads)
+            bridges += (RosbridgeBridge(section, settings.name, pad) for pad in settings.pads)
     return tuple(bridges)

@@ -8,7 +8,6 @@ import pylsl
 from msgspec import UNSET
 
 from touchd.daemon.bridges.bridge import kind_of
-from touchd.daemon.bridges.settings import LslSettings
 from touchd.daemon.path.events import Event, Prediction, epoch_s
 from touchd.drivers.frame import COLUMNS, ROWS, Frame
 
@@ -16,10 +15,10 @@ LOOKS = 10
 
 
 class LslOutlet:
-    """Pushes markers and frames with their own timestamps; listeners may come and go."""
+    """Pushes markers and frames with their own timestamps; listeners may come and go. name: of the robot."""
 
-    def __init__(self, settings: LslSettings, pad: str) -> None:
-        self._stream = f"{settings.name}-{pad}"
+    def __init__(self, name: str, pad: str) -> None:
+        self._stream = f"{name}-{pad}"
         # Both clocks are monotonic, so a frame's stamp is exact however late it is sent.
         self._ahead_s = _ahead_of(time.monotonic)
         self._markers = pylsl.StreamOutlet(self._info("markers", "Markers", 1, "string"))

@@ -50,13 +50,13 @@ class MqttBridge(Bridge):
     The state is the pad's (see `SensorEvent`), "stopped" (touchd has ended) or, as the last will, "lost".
     With `discovery` it announces the pad to Home Assistant and publishes whether it is touched.
     It speaks MQTT 5, in which a broker says what it refuses, and 3.1.1 with brokers that lack it.
-    labels: the gestures that an answer can have.
+    name: of the robot. labels: the gestures that an answer can have.
     """
 
-    def __init__(self, settings: MqttSettings, pad: str, labels: Sequence[str] = ()) -> None:
+    def __init__(self, settings: MqttSettings, name: str, pad: str, labels: Sequence[str] = ()) -> None:
         self._settings = settings
         self._labels = labels
-        self._topic = f"{settings.topic}/{pad}"
+        self._topic = f"{name}/{pad}"
         self._state, self._is_touched = "down", False
         # Held while the retained messages are published, so that the newest comes last.
         self._retaining = threading.RLock()

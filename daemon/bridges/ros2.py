@@ -20,7 +20,6 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 from touchd.daemon.bridges.bridge import BridgeError, arrival_s
-from touchd.daemon.bridges.settings import Ros2Settings
 from touchd.daemon.path.events import Event, Prediction, encode
 from touchd.drivers.faults import FaultLog
 from touchd.drivers.frame import COLUMNS, ROWS, Frame
@@ -99,25 +98,24 @@ Message = TypeVar("Message", String, Image)
 class Ros2Outlet:
     """Publishes gesture (a String, told ones only), event (JSON in a String) and pressure (an Image).
 
+    domain: ROS_DOMAIN_ID. name: of the robot.
     Raises BridgeError when this computer has no network, or another than it had at first.
     """
 
-    def __init__(self, settings: Ros2Settings, pad: str) -> None:
+    def __init__(self, domain: int, name: str, pad: str) -> None:
         # DDS chooses a network when it starts.
         self._addresses, self._looked_s = set(own_addresses()), time.monotonic()
         self._faults = FaultLog(logging.getLogger(__name__))
         try:
-            participant = DomainParticipant(
-                settings.domain, Qos(Policy.EntityName(f"touchd_{socket.gethostname()}"))
-            )
+            participant = DomainParticipant(domain, Qos(Policy.EntityName(f"touchd_{socket.gethostname()}")))
         except DDSException as error:
             raise BridgeError(f"no network for DDS ({str(error).splitlines()[0]})") from error
         publisher = Publisher(participant)
         # ROS 2 prefixes the names of its DDS topics with rt.
-        prefix = f"rt{settings.namespace}/{pad}"
+        prefix = f"rt/{name}/{pad}"
 
-        def writer(name: str, kind: type[Message]) -> DataWriter[Message]:
-            return DataWriter(publisher, Topic(participant, f"{prefix}/{name}", kind), QOS)
+        def writer(what: str, kind: type[Message]) -> DataWriter[Message]:
+            return DataWriter(publisher, Topic(participant, f"{prefix}/{what}", kind), QOS)
 
         self._gesture, self._event = writer("gesture", String), writer("event", String)
         self._pressure = writer("pressure", Image)

@@ -34,12 +34,12 @@ STRING, IMAGE = "std_msgs/String", "sensor_msgs/Image"
 
 
 class RosbridgeBridge(Bridge):
-    """Publishes the topics of `Ros2Bridge`."""
+    """Publishes the topics of `Ros2Outlet`. name: of the robot."""
 
-    def __init__(self, settings: RosbridgeSettings, pad: str) -> None:
+    def __init__(self, settings: RosbridgeSettings, name: str, pad: str) -> None:
         self._settings = settings
-        self._id = f"touchd_{socket.gethostname()}"
-        self._prefix = f"{settings.namespace}/{pad}"
+        self._id = f"touchd_{name}"
+        self._prefix = f"/{name}/{pad}"
         self._connection: ClientConnection | None = None
         # With the topic, as each pad has a connection of its own.
         where = f"{settings.shown_url} ({self._prefix})"

@@ -7,22 +7,22 @@ import msgspec
 
 PressureHz = Annotated[float, msgspec.Meta(ge=0.001, le=500)]
 Port = Annotated[int, msgspec.Meta(ge=1, le=65535)]
-Topic = Annotated[str, msgspec.Meta(pattern=r"^[^/+#\s]+(/[^/+#\s]+)*$")]
-Namespace = Annotated[str, msgspec.Meta(pattern=r"^(/[A-Za-z_][A-Za-z0-9_]*)+$")]
+# The name of a robot as MQTT, LSL and ROS take it.
+_PART = "[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*"
+RobotName = Annotated[str, msgspec.Meta(pattern=f"^{_PART}(/{_PART})*$")]
 
 
 class MqttSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """An MQTT broker, its name or address alone. A pad's topics are TOPIC/PAD/event, /state and /pressure."""
+    """An MQTT broker, its name or address alone. A pad's topics are NAME/PAD/event, /state and /pressure."""
 
     host: Annotated[str, msgspec.Meta(pattern=r"^(?![^:]*:[^:]*$)[^\s/[\]]+$")] = "localhost"
     port: Port = 1883
-    topic: Topic = "touchd"
     tls: bool = False
     ca_file: str | None = None
     user: str | None = None
     password_file: str | None = None
     pressure_hz: PressureHz | None = None
-    discovery: Topic | None = None
+    discovery: Annotated[str, msgspec.Meta(pattern=r"^[^/+#\s]+(/[^/+#\s]+)*$")] | None = None
 
     def __post_init__(self) -> None:
         if self.ca_file is not None and not self.tls:
@@ -34,14 +34,11 @@ class MqttSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 class LslSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Streams of the Lab Streaming Layer: NAME-PAD-markers and NAME-PAD-pressure."""
 
-    name: Annotated[str, msgspec.Meta(min_length=1, max_length=64)] = "touchd"
-
 
 class Ros2Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """ROS 2 over DDS. A pad's topics are NAMESPACE/PAD/gesture, event and pressure."""
+    """ROS 2 over DDS. A pad's topics are /NAME/PAD/gesture, event and pressure."""
 
     domain: Annotated[int, msgspec.Meta(ge=0, le=232)] = 0
-    namespace: Namespace = "/touchd"
 
 
 class RosbridgeSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -51,7 +48,6 @@ class RosbridgeSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     """
 
     url: Annotated[str, msgspec.Meta(pattern=r"^wss?://[^\s@]+$")] = "ws://localhost:9090"
-    namespace: Namespace = "/touchd"
     pressure_hz: PressureHz | None = None
 
     def __post_init__(self) -> None:

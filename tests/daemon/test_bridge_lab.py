@@ -22,7 +22,7 @@ from touchd.daemon.app.config import Settings
 from touchd.daemon.bridges.apart import ApartBridge
 from touchd.daemon.bridges.bridge import BridgeError
 from touchd.daemon.bridges.bridges import make_bridges
-from touchd.daemon.bridges.settings import LslSettings, Ros2Settings, RosbridgeSettings
+from touchd.daemon.bridges.settings import LslSettings, RosbridgeSettings
 from touchd.daemon.path.events import (
     Label,
     RobotAction,
@@ -40,7 +40,7 @@ def test_a_library_that_cannot_be_loaded_is_named(
 ) -> None:
     (tmp_path / "pylsl.py").write_text('raise RuntimeError("LSL binary not found.\\nSee the manual.")')
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    bridge = ApartBridge(LslSettings(), [PAD])
+    bridge = ApartBridge(LslSettings(), "touchd", [PAD])
     bridge.start()
     wait_for(lambda: "is away" in caplog.text)
     bridge.stop(2.0)
@@ -57,7 +57,7 @@ def test_what_liblsl_says_as_it_starts_is_no_warning(
     (tmp_path / "pylsl.py").write_text(f"{says}\nraise RuntimeError('ended')")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     caplog.set_level(logging.INFO)
-    bridge = ApartBridge(LslSettings(), [PAD])
+    bridge = ApartBridge(LslSettings(), "touchd", [PAD])
     bridge.start()
     wait_for(lambda: "is away" in caplog.text)
     bridge.stop(2.0)
@@ -75,7 +75,7 @@ def lsl_outlet(peer: LslPeer) -> Any:
     """Return what the bridge's own process publishes with."""
     from touchd.daemon.bridges.lsl import LslOutlet
 
-    return LslOutlet(LslSettings(name=peer.name), PAD)
+    return LslOutlet(peer.name, PAD)
 
 
 def test_lsl_frames_carry_their_arrival_time_within_2_ms(tmp_path: Path) -> None:
@@ -193,16 +193,16 @@ def test_ros2_starts_again_where_the_network_is_another(
     def fail(*_: object) -> None:
         raise DDSException(DDSException.DDS_RETCODE_ERROR)
 
-    settings = Ros2Settings(domain=Ros2Peer(tmp_path).domain)
+    domain = Ros2Peer(tmp_path).domain
     monkeypatch.setattr(ros2, "LOOK_S", 0.0)
-    outlet = ros2.Ros2Outlet(settings, PAD)
+    outlet = ros2.Ros2Outlet(domain, "touchd", PAD)
     outlet.send_event(PREDICTION)
     monkeypatch.setattr(ros2, "own_addresses", lambda: ["192.0.2.7"])
     with pytest.raises(BridgeError, match="the network has changed"):
         outlet.send_event(PREDICTION)
     monkeypatch.setattr(ros2, "DomainParticipant", fail)
     with pytest.raises(BridgeError, match="no network for DDS"):
-        ros2.Ros2Outlet(settings, PAD)
+        ros2.Ros2Outlet(domain, "touchd", PAD)
 
 
 def test_ros2_bytes_are_those_of_the_public_definitions() -> None:
@@ -269,7 +269,7 @@ def test_messages_that_a_rosbridge_refuses_are_counted_and_logged_once(
     from touchd.daemon.bridges.rosbridge import RosbridgeBridge
 
     with attackers.server(port, refuse):
-        bridge = RosbridgeBridge(RosbridgeSettings(url=f"ws://127.0.0.1:{port}"), "pad")
+        bridge = RosbridgeBridge(RosbridgeSettings(url=f"ws://127.0.0.1:{port}"), "touchd", PAD)
         bridge.start()
         for number in range(20):
             bridge.put(touch(number))

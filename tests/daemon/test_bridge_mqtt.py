@@ -52,8 +52,9 @@ Open = Callable[..., Bridge]
 
 
 def made(port: int, **settings: Any) -> list[Bridge]:
+    name = settings.pop("name", "touchd")
     mqtt = MqttSettings(**({"host": "127.0.0.1", "port": port} | settings))
-    return list(make_bridges(Settings(mqtt=mqtt), {"pad": Scripted()}))
+    return list(make_bridges(Settings(mqtt=mqtt, name=name), {"pad": Scripted()}))
 
 
 @pytest.fixture
@@ -231,7 +232,7 @@ def test_a_password_file_that_is_a_pipe_does_not_block(port: int, tmp_path: Path
 
 def test_home_assistant_shows_gestures_and_whether_the_pad_is_touched(port: int, opened: Open) -> None:
     jinja2 = pytest.importorskip("jinja2")
-    bridge = opened(topic="lab/nao1", discovery="homeassistant")
+    bridge = opened(name="lab/nao1", discovery="homeassistant")
     bridge.put(UP)
     wait_for(lambda: all_retained(port).get("lab/nao1/pad/state") == "up")
     told = all_retained(port)
@@ -391,7 +392,9 @@ def test_one_broker_carries_fifty_pads(port: int) -> None:
     pads, touches, each = 50, 20, 5
     with subscribed(port, "touchd/+/event") as messages:
         settings = MqttSettings(host="127.0.0.1", port=port)
-        opened = {name: MqttBridge(settings, name) for name in (f"pad{number}" for number in range(pads))}
+        opened = {
+            name: MqttBridge(settings, "touchd", name) for name in (f"pad{number}" for number in range(pads))
+        }
         for bridge in opened.values():
             bridge.start()
         wait_for(lambda: all(bridge._peer_is_there.is_set() for bridge in opened.values()), 30.0)

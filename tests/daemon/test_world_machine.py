@@ -148,8 +148,10 @@ class World(RuleBasedStateMachine):
         self.state = "down"
         broker, rosbridge = (peer.port for peer in self.peers.values())
         self.bridges: tuple[Bridge, ...] = (
-            MqttBridge(MqttSettings(host="127.0.0.1", port=broker, pressure_hz=10.0), "pad"),
-            RosbridgeBridge(RosbridgeSettings(url=f"ws://127.0.0.1:{rosbridge}", pressure_hz=10.0), "pad"),
+            MqttBridge(MqttSettings(host="127.0.0.1", port=broker, pressure_hz=10.0), "touchd", "pad"),
+            RosbridgeBridge(
+                RosbridgeSettings(url=f"ws://127.0.0.1:{rosbridge}", pressure_hz=10.0), "touchd", "pad"
+            ),
         )
         self.fanout = EventFanout()
         journal = JournalSink(Journal(self.path, max_bytes=20_000, keep=1))

@@ -171,7 +171,7 @@ class MqttPeer(Peer):
     def make(self) -> Bridge:
         from touchd.daemon.bridges.mqtt import MqttBridge
 
-        return MqttBridge(MqttSettings(host="127.0.0.1", port=self.port), PAD)
+        return MqttBridge(MqttSettings(host="127.0.0.1", port=self.port), "touchd", PAD)
 
     @contextmanager
     def listening(self) -> Iterator[None]:
@@ -198,7 +198,7 @@ class RosbridgePeer(Peer):
         from touchd.daemon.bridges.rosbridge import RosbridgeBridge
 
         settings = RosbridgeSettings(url=f"ws://127.0.0.1:{self.port}", pressure_hz=54.0)
-        return RosbridgeBridge(settings, PAD)
+        return RosbridgeBridge(settings, "touchd", PAD)
 
     @contextmanager
     def listening(self) -> Iterator[None]:
@@ -232,7 +232,7 @@ class LslPeer(Peer):
         self.name = f"test{free_port()}"
 
     def make(self) -> Bridge:
-        return ApartBridge(LslSettings(name=self.name), [PAD])
+        return ApartBridge(LslSettings(), self.name, [PAD])
 
     def listening(self) -> AbstractContextManager[None]:
         return in_thread(self._listen)
@@ -266,7 +266,7 @@ class Ros2Peer(Peer):
         self.domain = 100 + free_port() % 100
 
     def make(self) -> Bridge:
-        return ApartBridge(Ros2Settings(domain=self.domain), [PAD])
+        return ApartBridge(Ros2Settings(domain=self.domain), "touchd", [PAD])
 
     @contextmanager
     def listening(self) -> Iterator[None]:
