@@ -38,7 +38,7 @@ from touchd.model.training.studies import study_of
 from touchd.model.training.weights import left_out_split
 
 FILE = STORED / "passing.json"
-LIMITS = (0.2, 0.3, 0.4, 0.5, 0.65)
+LIMITS = (0.3, RELEASED_ABOVE, 0.5)
 REST_FRAMES = 162
 # A cut piece rises from rest, and falls to it, within this many frames.
 FADE_FRAMES = 4
