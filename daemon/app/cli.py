@@ -5,7 +5,6 @@ import errno
 import importlib
 import io
 import os
-import re
 import signal
 import sys
 from collections.abc import Sequence
@@ -15,7 +14,6 @@ from touchd.drivers.errors import DISK_FULL, TouchdError, goes_to_systemd, one_l
 from touchd.drivers.installed import SIZES, extra_of, how_to_install, program_name
 
 USERS_MISTAKE, OUR_MISTAKE, INTERRUPTED = 2, 1, 130
-NOT_THERE = re.compile(r"(\S+\.so\S*): cannot open shared object file")
 # These run until a signal ends them; their exit code is then 0.
 UNTIL_ENDED = ("run", "demo", "replay", "fake-pad", "fake-robot")
 
@@ -37,7 +35,6 @@ COMMANDS = {
     "docs": "prints a page of the documentation",
     "doctor": "checks pad, model, robot and service; says what to do",
     "bench": "measures latency, processor, memory, start-up and speed",
-    "completion": "prints the script for a shell's completion",
 }
 """What each subcommand does; its module in `commands` is imported only when it is called."""
 
@@ -157,9 +154,7 @@ def _lacking(error: ImportError | OSError) -> str:
         size = f"  # {SIZES[extra]} on the disk" if extra in SIZES else ""
         return f"{error.name} is not installed (extra {extra}): {how_to_install(extra)}{size}"
     if isinstance(error, ImportError):
-        library = NOT_THERE.search(str(error))
-        missing = "a library of the system, is not there; install the package that brings it"
-        return f"{library[1]}, {missing}" if library else ""
+        return ""
     if error.errno in DISK_FULL:
         discard_output()
         return f"{error.filename or 'standard output'}: cannot be written ({error.strerror})"

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from touchd.daemon.app.config import LiveSettings, SensorSettings, Settings
+from touchd.daemon.app.config import SensorSettings, Settings
 from touchd.daemon.commands.one_pad import load_model
 from touchd.daemon.commands.run import favour_latency
 from touchd.daemon.path.events import Event, Prediction, epoch_s
@@ -36,25 +36,13 @@ START_S = 30.0
 STAMP_S = 0.002
 
 
-class Figures(msgspec.Struct, frozen=True, kw_only=True):
-    """The measurements; a name ends in its unit.
+class Usage(msgspec.Struct, frozen=True, kw_only=True):
+    """What the daemon took. cpu: share of one core. memory: peak resident set."""
 
-    latency: from writing the last byte of the frame that completes an answer's window to reading the answer's
-    line from the daemon's output. inner: the part of the latency that the daemon itself measures.
-    cpu: share of one core. memory: peak resident set. same_predictions: `run` and `classify` agree.
-    """
-
-    answers: int
-    latency_p50_ms: float
-    latency_p99_ms: float
-    inner_p50_ms: float
-    inner_p99_ms: float
+    start_to_ready_s: float
     cpu_idle_percent: float
     cpu_touching_percent: float
     memory_mb: float
-    start_to_ready_s: float
-    classify_times_real_time: float
-    same_predictions: bool
 
 
 # An event read from the daemon, and when, by `time.monotonic` and by `time.time`.
@@ -71,7 +59,6 @@ def parser() -> argparse.ArgumentParser:
         default=120.0,
         help="how long to touch the pad (default 120)",
     )
-    parser.add_argument("--json", action="store_true", help="figures as JSON instead of a table")
     return parser
 
 
@@ -80,74 +67,71 @@ def main(arguments: Sequence[str]) -> int:
     options = parser().parse_args(arguments)
     with Console(stderr=True).status(f"measuring for {QUIET_S + options.seconds:.0f} s"):
         figures = measure(options.seconds)
-    sys.stdout.write(msgspec.json.encode(figures).decode() + "\n" if options.json else table(figures))
+    for name, value in figures.items():
+        sys.stdout.write(f"{name:<26}{value:10.2f}\n")
     return 0
 
 
-def table(figures: Figures) -> str:
-    """Return the figures as lines for people."""
-    lines = []
-    for name, value in msgspec.to_builtins(figures).items():
-        shown = f"{value:10.2f}" if isinstance(value, float) else f"{value!s:>10}"
-        lines.append(f"{name:<26}{shown}\n")
-    return "".join(lines)
+def measure(touch_s: float) -> dict[str, float]:
+    """Run the daemon on a pad that rests for 20 s and is then touched for `touch_s`; return the figures.
 
-
-def measure(touch_s: float, live: LiveSettings | None = None) -> Figures:
-    """Run the daemon on a pad that rests for 20 s and is then touched for `touch_s`; live: with a page."""
+    A name ends in its unit. latency: from writing the last byte of the frame that completes an answer's
+    window to reading the answer's line from the daemon's output. inner: the part that the daemon measures.
+    """
     stream = touched(touch_s)
     # As in the daemon: the pad's thread must not delay the one that reads the answers.
     favour_latency()
+    with FakePort(stream, encoder_for(SensorSettings())) as port:
+        usage, received = _observed(port, touch_s)
+    inner_ms = [event.latency_ms for event, *_ in received if isinstance(event, Prediction)]
+    figures = {"answers": float(len(inner_ms))}
+    for name, times_ms in (("latency", _latencies_ms(port.sent_s, received)), ("inner", inner_ms)):
+        for percent in (50, 99):
+            figures[f"{name}_p{percent}_ms"] = float(np.percentile(times_ms, percent))
+    speed = {"classify_times_real_time": _times_real_time(stream)}
+    return figures | msgspec.structs.asdict(usage) | speed
+
+
+def _observed(port: FakePort, touch_s: float) -> tuple[Usage, list[Received]]:
+    """Run the daemon while the port plays; return what it took, and its events."""
+    received: list[Received] = []
     with ExitStack() as closing:
         folder = Path(closing.enter_context(tempfile.TemporaryDirectory(prefix="touchd-bench-")))
         log = closing.enter_context((folder / "log").open("wb"))
         ready = closing.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
         ready.bind(str(folder / "notify"))
         ready.settimeout(START_S)
-        port = closing.enter_context(FakePort(stream, encoder_for(SensorSettings())))
-        settings = Settings(sensor=SensorSettings(port=port.path), live=live)
+        settings = Settings(sensor=SensorSettings(port=port.path))
         started_s = time.monotonic()
         daemon = SpawnedDaemon(settings, folder, log, {"NOTIFY_SOCKET": str(folder / "notify")})
         closing.callback(daemon.stop)
-        received: list[Received] = []
         reader = threading.Thread(target=_receive, args=(daemon, received), name="touchd-bench", daemon=True)
         reader.start()
         while b"READY=1" not in ready.recv(4096):
             pass
-        start_to_ready_s = time.monotonic() - started_s
-        idle_percent = _cpu_percent(daemon.process.pid, QUIET_S - 2.0)
+        start_to_ready_s, pid = time.monotonic() - started_s, daemon.process.pid
+        idle_percent = _cpu_percent(pid, QUIET_S - 2.0)
         time.sleep(2.0)
-        touching_percent = _cpu_percent(daemon.process.pid, touch_s)
+        touching_percent = _cpu_percent(pid, touch_s)
         port.wait(START_S)
-        memory_mb = _peak_memory_mb(daemon.process.pid)
+        usage = Usage(
+            start_to_ready_s=start_to_ready_s,
+            cpu_idle_percent=idle_percent,
+            cpu_touching_percent=touching_percent,
+            memory_mb=_peak_memory_mb(pid),
+        )
         daemon.stop()
         reader.join()
-    latencies_ms = _latencies_ms(port.sent_s, received)
-    answers = [event for event, *_ in received if isinstance(event, Prediction)]
-    inner_ms = [event.latency_ms for event in answers]
-    speed, classified = _classify(stream)
-    return Figures(
-        answers=len(inner_ms),
-        latency_p50_ms=float(np.percentile(latencies_ms, 50)),
-        latency_p99_ms=float(np.percentile(latencies_ms, 99)),
-        inner_p50_ms=float(np.percentile(inner_ms, 50)),
-        inner_p99_ms=float(np.percentile(inner_ms, 99)),
-        cpu_idle_percent=idle_percent,
-        cpu_touching_percent=touching_percent,
-        memory_mb=memory_mb,
-        start_to_ready_s=start_to_ready_s,
-        classify_times_real_time=speed,
-        same_predictions=_stages(answers) == _stages(classified),
-    )
+    return usage, received
 
 
-def touched(touch_s: float, quiet_s: float = QUIET_S) -> Stream:
-    """Return a stream that rests for `quiet_s` and then repeats the demo's touches for about `touch_s`."""
+def touched(touch_s: float) -> Stream:
+    """Return a stream that rests for QUIET_S and then repeats the demo's touches for about `touch_s`."""
     rest, *others = read_recordings(DEMO_RECORDING)
     # A turn is a touch and the rest that follows it.
     turn_frames = len(others[0].counts) + len(others[1].counts)
     turns = max(1, round(touch_s * FRAME_RATE_HZ / turn_frames))
-    rests = round(quiet_s * FRAME_RATE_HZ / len(rest.counts))
+    rests = round(QUIET_S * FRAME_RATE_HZ / len(rest.counts))
     return splice([rest] * rests + list(islice(cycle(others), 2 * turns)))
 
 
@@ -156,12 +140,6 @@ def _receive(daemon: SpawnedDaemon, received: list[Received]) -> None:
     for line in daemon.process.stdout:
         read_s = time.monotonic(), time.time()
         received.append((decode(line), *read_s))
-
-
-def _stages(events: Sequence[Event]) -> list[tuple[object, ...]]:
-    """Return the answers, without what differs between two playbacks."""
-    answers = [event for event in events if isinstance(event, Prediction)]
-    return [(said.stage, said.gesture, said.changed, said.told, said.degraded) for said in answers]
 
 
 def _latencies_ms(sent_s: NDArray[np.float64], received: Sequence[Received]) -> list[float]:
@@ -199,12 +177,10 @@ def _peak_memory_mb(pid: int) -> float:
     raise RuntimeError("the kernel does not tell how much memory the daemon took")
 
 
-def _classify(stream: Stream) -> tuple[float, list[Event]]:
-    """Send the stream through the pipeline at full speed; return how many times real time, and the events."""
+def _times_real_time(stream: Stream) -> float:
+    """Send the stream through the pipeline at full speed; return how many times faster that is."""
     settings = Settings()
     classifier = load_model(settings)
-    events: list[Event] = []
     began_s = time.perf_counter()
-    play(stream, lambda clock: Pipeline(settings.pipeline, classifier, events.append, clock))
-    took_s = time.perf_counter() - began_s
-    return len(stream.counts) / FRAME_RATE_HZ / took_s, events
+    play(stream, lambda clock: Pipeline(settings.pipeline, classifier, lambda _: None, clock))
+    return len(stream.counts) / FRAME_RATE_HZ / (time.perf_counter() - began_s)

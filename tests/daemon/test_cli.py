@@ -199,18 +199,6 @@ def test_an_invalid_option_is_refused_in_words(
     assert message in capsys.readouterr().err
 
 
-def test_a_library_that_the_system_lacks_is_named(tmp_path: Path) -> None:
-    (tmp_path / "numpy.py").write_text(
-        "raise ImportError('Importing the numpy C-extensions failed.\\n\\nOriginal error was: "
-        "libstdc++.so.6: cannot open shared object file: No such file or directory\\n')"
-    )
-    done = ran([*TOUCHD, "classify"], env={**os.environ, "PYTHONPATH": str(tmp_path)})
-    assert done.stderr == (
-        "touchd: libstdc++.so.6, a library of the system, is not there; install the package that brings it\n"
-    )
-    assert done.returncode == 2
-
-
 @pytest.mark.parametrize("error", [KeyError("oops"), OSError(errno.EIO, "Input/output error")])
 def test_an_internal_error_is_one_line_and_exit_1(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], error: Exception

@@ -2,7 +2,6 @@
 
 import os
 import shlex
-import shutil
 import signal
 import subprocess
 import sys
@@ -158,17 +157,6 @@ def test_a_printed_path_is_relative_only_beside_its_environment(monkeypatch: pyt
         monkeypatch.setattr(sys, "executable", python)
         monkeypatch.setattr(Path, "cwd", lambda folder=folder: Path(folder))
         assert program_name() == name
-
-
-def test_bash_completes_commands_and_options(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["completion", "bash"]) == 0
-    script = capsys.readouterr().out
-    ask = "COMP_WORDS=({}); COMP_CWORD={}; _shtab_touchd >/dev/null; echo ${{COMPREPLY[@]}}"
-    bash = shutil.which("bash")
-    assert bash is not None
-    for words, completed in (("touchd cla", "classify"), ("touchd demo --li", "--live")):
-        done = ran([bash, "-c", script + ask.format(words, 1 + words.count(" ") - 1)], check=True)
-        assert completed in done.stdout.split()
 
 
 def test_the_example_configuration_runs_without_the_service(
