@@ -1,5 +1,7 @@
 """`touchd demo`: a simulated hand on a fake pad, the real daemon and a stand-in robot, in the terminal."""
 
+from __future__ import annotations
+
 import argparse
 import statistics
 import sys
@@ -89,30 +91,8 @@ class PlainLines:
         sys.stdout.flush()
 
 
-class ShowAndPage:
-    """Shows the demo in the terminal and on the page that viewers touch."""
-
-    def __init__(self, show: View | PlainLines, page: "TouchPage") -> None:
-        self._show = show
-        self._page = page
-        self.note = show.note
-        self.doing = show.doing
-
-    def show_frame(self, pressure: Counts, sensor_ms: int) -> None:
-        self._show.show_frame(pressure, sensor_ms)
-        self._page.show_frame(pressure, sensor_ms)
-
-    def put(self, event: Event) -> None:
-        self._page.put(event)
-        self._show.put(event)
-
-
-Show: typing.TypeAlias = View | PlainLines | ShowAndPage
-
-
 def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="touchd demo", description="Needs no pad, no robot and no network.")
-    parser.add_argument("--plain", action="store_true", help="write lines instead of a picture")
     parser.add_argument(
         "--live", nargs="?", const="", metavar="[HOST:]PORT", help="also serve a page to touch, until Ctrl-C"
     )
@@ -124,10 +104,10 @@ def main(arguments: Sequence[str]) -> int:
     options = parser().parse_args(arguments)
     settings = Settings(scene=SceneSettings(actions=ACTIONS), log_level="warning")
     if options.live is not None:
-        return _be_touched(options, settings)
+        return _be_touched(options.live, settings)
     stream = splice(read_recordings(DEMO_RECORDING))
     with ExitStack() as closing:
-        show = PlainLines(settings) if options.plain else _show(closing, settings, ())
+        show = _show(closing, settings, ())
         encode = _showing(stream, encoder_for(settings.sensor), show, settings)
         port = closing.enter_context(FakePort(stream, encode, speed=PACE))
         predictions, told = _run(port, show, closing, settings)
@@ -144,13 +124,13 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def _be_touched(options: argparse.Namespace, settings: Settings) -> int:
+def _be_touched(address: str, settings: Settings) -> int:
     """Run until Ctrl-C with a page on which viewers touch the simulated pad; returns 0."""
     # Imported only with --live, since these modules need its library.
     from touchd.daemon.live.memory import Scene
     from touchd.daemon.playback.touched import TouchPage
 
-    live = parse_address(options.live, None)
+    live = parse_address(address, None)
     with_robot = msgspec.structs.replace(settings, robot=RobotSettings(url="tcp://localhost:9559"))
     rng = RandomState()
     with ExitStack() as closing:
@@ -159,23 +139,22 @@ def _be_touched(options: argparse.Namespace, settings: Settings) -> int:
         page = TouchPage(listening, live, Scene(with_robot, Classifier.load()))
         closing.callback(page.stop)
         page.start()
-        seen = (
-            PlainLines(settings)
-            if options.plain
-            else _show(closing, settings, urls, live.host in EVERY_ADDRESS)
-        )
-        show = ShowAndPage(seen, page)
+        show = _show(closing, settings, urls, live.host in EVERY_ADDRESS)
 
         def begins(gesture: str) -> None:
             show.doing(f"the simulated hand: {name_of(words_of(settings), gesture)}")
 
+        def show_frame(pressure: Counts, sensor_ms: int) -> None:
+            show.show_frame(pressure, sensor_ms)
+            page.show_frame(pressure, sensor_ms)
+
         hand = PlayedHand(tuple(PLAYED), EVERY_S, rng, begins)
-        pad = SimulatedPad(rng, hand, page.touching, show.show_frame)
+        pad = SimulatedPad(rng, hand, page.touching, show_frame)
         port = closing.enter_context(LivePort(pad.scan, encoder_for(settings.sensor)))
         show.note(f"live page: {' '.join(urls)}   Ctrl-C ends")
         # Live predictions are not events: get them from the daemon's own page, whose address is in its log.
         inner = msgspec.structs.replace(settings, live=LiveSettings(port=0), log_level="info")
-        _run(port, show, closing, inner, page.follow)
+        _run(port, show, closing, inner, page)
     return 0
 
 
@@ -205,14 +184,14 @@ def _show(
 
 def _run(
     port: FakePort | LivePort,
-    show: Show,
+    show: View | PlainLines,
     closing: ExitStack,
     settings: Settings,
-    follow: Callable[[Path], None] = lambda log: None,
+    page: TouchPage | None = None,
 ) -> tuple[Sequence[Prediction], Sequence[str]]:
     """Run the daemon on a fake port and show its events; return all answers, and the last one of each touch.
 
-    Ends when the stream of a FakePort ends. follow: called with the path of the daemon's log.
+    Ends when the stream of a FakePort ends. page: shows the events too.
     """
     folder = Path(closing.enter_context(tempfile.TemporaryDirectory(prefix="touchd-demo-")))
     log = closing.enter_context((folder / "log").open("w+b"))
@@ -222,13 +201,16 @@ def _run(
     robot = closing.enter_context(LoopbackRobot(show_call, [f"--say-s={SPEECH_S}"]))
     settings = msgspec.structs.replace(settings, robot=RobotSettings(url=robot.url))
     daemon = SpawnedDaemon(settings, folder, log)
-    follow(folder / "log")
     closing.callback(daemon.stop)
+    if page is not None:
+        page.follow(folder / "log")
     if isinstance(port, FakePort):
         threading.Thread(target=_end, args=(port, daemon), name="touchd-demo-end", daemon=True).start()
     predictions: deque[Prediction] = deque(maxlen=KEPT)
     told: deque[str] = deque(maxlen=KEPT)
     for event in daemon.events():
+        if page is not None:
+            page.put(event)
         show.put(event)
         if isinstance(event, Prediction):
             predictions.append(event)
@@ -246,7 +228,7 @@ def _end(port: FakePort, daemon: SpawnedDaemon) -> None:
 
 
 def _showing(
-    stream: Stream, encode: Callable[[Counts, int], bytes], show: Show, settings: Settings
+    stream: Stream, encode: Callable[[Counts, int], bytes], show: View | PlainLines, settings: Settings
 ) -> Callable[[Counts, int], bytes]:
     """Wrap `encode`: also show the frames sent, and name each gesture of the hand as it begins."""
     first_ms, last_ms = int(stream.sensor_ms[0]), int(stream.sensor_ms[-1])
@@ -264,7 +246,7 @@ def _showing(
     return shown
 
 
-def _show_call(show: Show, call: Call) -> None:
+def _show_call(show: View | PlainLines, call: Call) -> None:
     """Show a call to the stand-in robot as a line, except those that its link already reports."""
     if call.refused:
         show.note(f"robot refuses {call.method}: {call.refused}")

@@ -341,7 +341,7 @@ def test_a_terminated_demo_leaves_nothing_behind(
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     # A suite that runs under nohup ignores the signal, and so would the demo.
     default_signal = partial(signal.signal, number, signal.SIG_DFL)
-    with Program(*TOUCHD, "demo", "--plain", preexec_fn=default_signal) as process:
+    with Program(*TOUCHD, "demo", preexec_fn=default_signal) as process:
         process.stdout.readline()
         assert list(tmp_path.iterdir())
         process.send_signal(number)

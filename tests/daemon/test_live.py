@@ -223,7 +223,7 @@ def test_viewers_cost_the_daemon_no_frame(tmp_path: Path) -> None:
 
 
 def test_the_demo_serves_its_page_until_ctrl_c() -> None:
-    with Program(*TOUCHD, "demo", "--plain", "--live", "0") as demo:
+    with Program(*TOUCHD, "demo", "--live", "0") as demo:
         served = next(found for line in demo.stdout if (found := SERVED.search(line)))
         # The page is served once the pad is up.
         assert any(line.startswith("pad up") for line in demo.stdout)

@@ -164,7 +164,7 @@ def perform(chrome: Chrome, route: Route, seconds: float) -> None:
 @pytest.fixture(scope="module")
 def page(chrome: Chrome) -> Iterator[Chrome]:
     """The demo's page after a first touch, which takes the simulated hand away."""
-    with Program(*TOUCHD, "demo", "--plain", "--live", "0") as demo:
+    with Program(*TOUCHD, "demo", "--live", "0") as demo:
         served = next(found for line in demo.stdout if (found := SERVED.search(line)))
         assert any(line.startswith("pad up") for line in demo.stdout)
         show_in(chrome, 800, 600)
