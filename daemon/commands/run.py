@@ -124,8 +124,7 @@ def main(arguments: Sequence[str]) -> int:
         closing.callback(signals.ignore)
         service = Service(settings)
         service.events.tags = tags
-        ports = {name: pad.sensor.port for name, pad in settings.pads.items()}
-        closing.enter_context(TagServer(service.events, found.file, ports))
+        closing.enter_context(TagServer(service.events, found.file))
         page, code = _live_page(settings) if settings.live else ("", "")
         if options.view:
             handler = _show_in_terminal(service, settings, page, closing)

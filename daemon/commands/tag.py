@@ -16,7 +16,7 @@ def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="touchd tag",
         description="Puts tags into every event of the touchd that runs on this computer, until it ends. "
-        "Prints the tags that then hold. If several run, choose one as it was started, by -c or --port.",
+        "Prints the tags that then hold. If several run, -c chooses one.",
     )
     parser.add_argument(
         "tags",
@@ -25,7 +25,6 @@ def parser() -> argparse.ArgumentParser:
         help="as in participant=P07; KEY= removes a tag",
     )
     parser.add_argument("-c", "--config", type=Path, metavar="FILE", help="of the daemon with these settings")
-    parser.add_argument("--port", help="of the daemon that reads this port")
     return parser
 
 
@@ -34,12 +33,10 @@ def main(arguments: Sequence[str]) -> int:
     options = parser().parse_args(arguments)
     # Report a mistake in a tag before a missing daemon.
     changed({}, options.tags)
-    running = _running(options.config, options.port)
+    running = _running(options.config)
     if len(running) > 1:
-        which = "; ".join(map(str, running.values()))
-        raise TagError(
-            f"{len(running)} touchd run on this computer; choose one with -c FILE or --port PORT: {which}"
-        )
+        configs = "; ".join(sorted(reply.config or "the defaults" for reply in running.values()))
+        raise TagError(f"{len(running)} touchd run on this computer; choose one with -c FILE: {configs}")
     (path,) = running
     reply = _request(path, options.tags)
     if reply is None:
@@ -50,23 +47,16 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def _running(config: Path | None, port: str | None) -> dict[Path, Reply]:
-    """Return the sockets of the daemons that run with these settings, and what they say; raises TagError."""
+def _running(config: Path | None) -> dict[Path, Reply]:
+    """Return the sockets of the daemons that run with this configuration, or of all; raises TagError."""
     wanted = str(config.resolve()) if config is not None else None
-    is_anothers = False
     running: dict[Path, Reply] = {}
     for path in sockets():
-        try:
-            reply = _request(path, [])
-        except PermissionError:
-            is_anothers = True
-            continue
-        if reply and wanted in (None, reply.config) and port in (None, *reply.pads.values()):
+        reply = _request(path, [])
+        if reply and wanted in (None, reply.config):
             running[path] = reply
-    if not running and is_anothers:
-        raise TagError("touchd runs as another user; put sudo before the command")
     if not running:
-        which = "no touchd with these settings" if config or port else "no touchd of yours"
+        which = "no touchd with these settings" if config else "no touchd of yours"
         raise TagError(
             f"{which} runs on this computer; start it, or give the tags to `touchd run --tag`; if another "
             "user started it, put sudo before the command"
@@ -75,9 +65,9 @@ def _running(config: Path | None, port: str | None) -> dict[Path, Reply]:
 
 
 def _request(path: Path, tags: list[str]) -> Reply | None:
-    """Send tags to a daemon; return its reply, None if it has ended.
+    """Send tags to a daemon; return its reply, None if it has ended or is another user's.
 
-    Raises TagError if it hangs, PermissionError if it is another user's.
+    Raises TagError if it hangs.
     """
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as connection:
@@ -86,10 +76,6 @@ def _request(path: Path, tags: list[str]) -> Reply | None:
             connection.send(msgspec.json.encode(tags))
             return msgspec.json.decode(connection.recv(MOST_BYTES), type=Reply)
     except TimeoutError as error:
-        raise TagError(
-            f"the touchd behind {path} does not answer; try again, or choose another with -c or --port"
-        ) from error
-    except PermissionError:
-        raise
+        raise TagError(f"the touchd behind {path} does not answer; try again, or restart it") from error
     except (OSError, msgspec.DecodeError):
         return None

@@ -36,19 +36,12 @@ class TagError(TouchdError):
 class Reply(msgspec.Struct):
     """A daemon's answer to a request for tags.
 
-    config: the file of its settings, "" for the defaults. pads: their names and ports. error: why nothing was
-    changed, or "".
+    config: the file of its settings, "" for the defaults. error: why nothing was changed, or "".
     """
 
     config: str
-    pads: dict[str, str]
     tags: dict[str, str]
     error: str = ""
-
-    def __str__(self) -> str:
-        """Say which daemon this is."""
-        pads = ", ".join(f"{name} at {port}" for name, port in self.pads.items())
-        return f"{self.config or 'the defaults'} ({pads}; tags: {in_words(self.tags)})"
 
 
 def changed(tags: Mapping[str, str], texts: Iterable[str]) -> dict[str, str]:
@@ -100,17 +93,14 @@ def sockets() -> list[Path]:
 class TagServer:
     """Takes tags from `touchd tag`, for this user and root, while the daemon runs. A context manager.
 
-    config: the file of the daemon's settings, None for the defaults. pads: their names and ports. The
-    socket is named after both.
+    config: the file of the daemon's settings, after which the socket is named; None for the defaults.
     """
 
-    def __init__(self, events: EventFanout, config: Path | None, pads: Mapping[str, str]) -> None:
+    def __init__(self, events: EventFanout, config: Path | None) -> None:
         self._events = events
         self._config = str(config.resolve()) if config is not None else ""
-        self._pads = dict(pads)
-        digest = hashlib.sha256(repr((self._config, self._pads)).encode()).hexdigest()[:8]
-        name = config.stem[:32] if config is not None else "defaults"
-        self._path = own_folder() / f"{name}-{digest}.socket"
+        digest = hashlib.sha256(self._config.encode()).hexdigest()[:16]
+        self._path = own_folder() / f"{digest}.socket"
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._thread = threading.Thread(target=self._serve, name="touchd-tags", daemon=True)
 
@@ -157,11 +147,11 @@ class TagServer:
         try:
             new = changed(before, msgspec.json.decode(request, type=list[str]))
         except (TagError, msgspec.DecodeError, RecursionError) as error:
-            return Reply(self._config, self._pads, before, str(error))
+            return Reply(self._config, before, str(error))
         if new != before:
             self._events.tags = new
             log.info("tags: %s", in_words(new))
-        return Reply(self._config, self._pads, new)
+        return Reply(self._config, new)
 
 
 def _is_served(path: Path) -> bool:
