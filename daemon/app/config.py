@@ -129,13 +129,9 @@ class PadSettings(SensorSettings, frozen=True, kw_only=True, forbid_unknown_fiel
 
 
 class JournalSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The file of events, one JSON object a line.
-
-    max_mb: size at which a new file is begun. path.1 to path.5 are older files, path.1 the newest.
-    """
+    """The file of events, one JSON object a line. path.1 to path.5 are older files, path.1 the newest."""
 
     path: str | None = None
-    max_mb: Annotated[float, msgspec.Meta(ge=0.001, le=10_000)] = 10.0
     keep_touches: Annotated[int, msgspec.Meta(ge=1, le=10_000)] | None = None
 
     @property

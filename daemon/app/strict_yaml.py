@@ -33,7 +33,7 @@ PROBLEMS = (
 )
 LIMITS = {">=": "at least", "<=": "at most", ">": "more than", "<": "less than"}
 # What the number in a setting counts, by the end of the setting's name.
-UNITS = {"_s": "seconds", "_hz": "per second", "_mm": "millimetres", "_mb": "megabytes", "_frames": "frames"}
+UNITS = {"_s": "seconds", "_hz": "per second", "_mm": "millimetres", "_frames": "frames"}
 # msgspec's names of types, in words.
 KINDS = {
     "object": "settings (name: value)",

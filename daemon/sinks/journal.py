@@ -15,9 +15,8 @@ from touchd.drivers.faults import FaultLog
 
 log = logging.getLogger(__name__)
 
-BYTES_PER_MB = 1_000_000
-# Older files that are kept.
-OLDER = 5
+# Size of a file, for some five thousand touches, and the number of older files that are kept.
+MAX_BYTES, OLDER = 10_000_000, 5
 MAX_LINE_BYTES = 64 * 1024
 # The beginning of every line.
 FIRST_BYTES = b'{"type":"'
@@ -86,14 +85,10 @@ class Journal:
     def _rotate(self) -> None:
         # If an earlier attempt moved the files but could not open the new one, do not move them again.
         if self._path.exists():
-            numbered = (self._numbered(number) for number in range(self._keep + 1))
-            # A folder may have one of these names: leave it alone.
-            files = [file for file in numbered if not file.is_dir()]
+            files = journal_files(self._path, self._keep)
             for newer, older in reversed(list(pairwise(files))):
                 if newer.exists():
                     os.replace(newer, older)
-            if len(files) == 1:
-                self._path.unlink()
         self._begin_file()
 
     def _begin_file(self) -> None:
@@ -101,8 +96,10 @@ class Journal:
         self.close()
         self._fd = fd
 
-    def _numbered(self, number: int) -> Path:
-        return self._path.with_name(f"{self._path.name}.{number}") if number else self._path
+
+def journal_files(path: Path, keep: int = OLDER) -> list[Path]:
+    """Return the paths of a journal and of its older files, path.1 to path.`keep`, the newest first."""
+    return [path, *(path.with_name(f"{path.name}.{number}") for number in range(1, keep + 1))]
 
 
 class JournalSink(QueuedSink[Event]):
@@ -128,7 +125,7 @@ def open_journal(settings: JournalSettings) -> JournalSink:
     if settings.path is None:
         with os_errors_as(JournalError, f"journal {path}: cannot be written", "set journal: null"):
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-    return JournalSink(Journal(path, max_bytes=round(settings.max_mb * BYTES_PER_MB), keep=OLDER))
+    return JournalSink(Journal(path, max_bytes=MAX_BYTES, keep=OLDER))
 
 
 def _open(path: Path) -> int:
@@ -142,12 +139,6 @@ def _open(path: Path) -> int:
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             raise JournalError(f"journal {path}: another touchd writes it; give each its own") from error
-        except OSError as error:
-            if error.errno not in (errno.ENOLCK, errno.EOPNOTSUPP):
-                raise
-            raise JournalError(
-                f"journal {path}: its file system cannot lock files; give journal.path on a local disk"
-            ) from error
         size = os.fstat(fd).st_size
         begin = os.pread(fd, len(FIRST_BYTES), 0)
         if begin.strip(b"\0") and not FIRST_BYTES.startswith(begin):

@@ -2,14 +2,13 @@
 
 import os
 from collections.abc import Iterable
-from contextlib import suppress
 from pathlib import Path
 from typing import TypeAlias
 
 import msgspec
 
 from touchd.daemon.path.events import Event, Label, Prediction, TouchBegan, TouchEnded, epoch_s
-from touchd.daemon.sinks.journal import FIRST_BYTES, MAX_LINE_BYTES, JournalError
+from touchd.daemon.sinks.journal import FIRST_BYTES, MAX_LINE_BYTES, JournalError, journal_files
 from touchd.drivers.errors import os_errors_as
 from touchd.drivers.whole_file import without_waiting
 
@@ -117,7 +116,7 @@ def read_labels(path: Path, pad: str) -> dict[TouchKey, str]:
     labels: dict[TouchKey, str] = {}
     # Resolve a symlink: the older files are beside its target. The newest first: one that is rotated
     # meanwhile is read twice rather than not at all.
-    for file in _newest_first(path.resolve()):
+    for file in journal_files(path.resolve()):
         try:
             events, _ = read_events(file, begin=LABEL)
         except JournalError as error:
@@ -128,13 +127,3 @@ def read_labels(path: Path, pad: str) -> dict[TouchKey, str]:
         found = (event for event in events if isinstance(event, Label) and event.pad == pad)
         labels = {(label.began, label.touch): label.gesture for label in found} | labels
     return labels
-
-
-def _newest_first(path: Path) -> list[Path]:
-    """Return a journal and its older files; their numbers may have gaps."""
-    with suppress(OSError):
-        numbers = [name.removeprefix(f"{path.name}.") for name in os.listdir(path.parent)]
-        found = sorted(int(number) for number in numbers if number.isascii() and number.isdecimal())
-        older = (path.with_name(f"{path.name}.{number}") for number in found)
-        return [path, *(file for file in older if not file.is_dir())]
-    return [path]

@@ -178,7 +178,6 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
             "robot: {url: 'tcp://n:1', token: secret}",
             "robot.token: unknown setting; write the token",
         ),
-        ("journal: {path: x, max_mb: .inf}", "journal.max_mb: inf must be at most 10000 (megabytes)"),
         ("mqtt: {host: 'mqtt://broker'}", "mqtt.host: another form expected, as in host: broker.local"),
         ("mqtt: {host: 'broker:1883'}", "mqtt.host: another form expected, as in host: broker.local"),
         ("mqtt: {host: '[::1]'}", "mqtt.host: another form expected, as in host: broker.local"),
@@ -228,7 +227,7 @@ def test_a_mistake_is_named_in_one_line(tmp_path: Path, text: str, message: str)
 
 @pytest.mark.parametrize(
     "text",
-    ["scene: {stale_s: 0}", "journal: {max_mb: 0}", "mqtt: {pressure_hz: 0}", "sensor: {size_mm: [0, 8]}"],
+    ["scene: {stale_s: 0}", "mqtt: {pressure_hz: 0}", "sensor: {size_mm: [0, 8]}"],
 )
 def test_zero_is_refused_after_the_model_is_loaded(tmp_path: Path, text: str) -> None:
     Classifier.load(SHIPPED_MODEL)

@@ -1,6 +1,5 @@
 """Sinks never block the loop and stop when asked; the journal holds whole lines within its limit."""
 
-import errno
 import json
 import os
 import random
@@ -57,15 +56,6 @@ def read(reader: int, count: int) -> list[Event]:
 
 def kept(path: Path) -> list[Event]:
     return [decode(line) for line in path.read_bytes().splitlines()]
-
-
-def test_a_file_system_without_locks_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object) -> None:
-        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
-
-    monkeypatch.setattr("fcntl.flock", refuse)
-    with pytest.raises(JournalError, match="its file system cannot lock files; give"):
-        Journal(tmp_path / "events.jsonl", max_bytes=1000, keep=1)
 
 
 def test_events_come_out_as_json_lines_in_order(pipe: tuple[int, int]) -> None:
@@ -223,23 +213,6 @@ def test_the_journal_rotates_within_its_limits(tmp_path: Path) -> None:
     assert all(file.stat().st_size <= 1000 for file in files)
     lines = [line for file in files for line in file.read_bytes().splitlines()]
     assert lines == numbered(200)[-len(lines) :] != []
-
-
-def test_folders_named_like_older_journals_are_left_alone(tmp_path: Path) -> None:
-    path, folders = tmp_path / "events.jsonl", [tmp_path / f"events.jsonl.{number}" for number in (1, 4)]
-    for folder in folders:
-        (folder / "mine").mkdir(parents=True)
-    write(path, [encode(touch(number)) for number in range(20)], keep=2)
-    assert kept(path) == [touch(19)]
-    assert kept(tmp_path / "events.jsonl.2") == [touch(18)]
-    assert not (tmp_path / "events.jsonl.3").exists()
-    assert all((folder / "mine").is_dir() for folder in folders)
-
-
-def test_a_folder_in_place_of_an_older_journal_is_tolerated(tmp_path: Path) -> None:
-    (tmp_path / "events.jsonl.1" / "mine").mkdir(parents=True)
-    write(tmp_path / "events.jsonl", [encode(touch(number)) for number in range(20)])
-    assert kept(tmp_path / "events.jsonl") == [touch(19)]
 
 
 def test_a_journal_behind_a_link_rotates_where_it_lies(tmp_path: Path) -> None:

@@ -265,7 +265,7 @@ def test_recordings_of_people_are_as_private_as_the_journal(tmp_path: Path) -> N
 
 
 def test_a_hole_in_the_numbers_hides_no_older_file(path: Path) -> None:
-    for number, name in enumerate(("events.jsonl.10", "events.jsonl.2", "events.jsonl"), 1):
+    for number, name in enumerate(("events.jsonl.5", "events.jsonl.2", "events.jsonl"), 1):
         label = Label(touch=number, began="", gesture="pat", time="2026-11-20T10:00:00.000Z")
         path.with_name(name).write_bytes(encode(label) + b"\n")
     assert [touch for _, touch in sorted(read_labels(path, "pad"))] == [1, 2, 3]

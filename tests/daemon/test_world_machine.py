@@ -348,7 +348,7 @@ class FaultyDaemon(Daemon):
             sensor=SensorSettings(
                 port=pad.path if not isinstance(pad, UdpPad) else f"udp://127.0.0.1:{pad.where[1]}"
             ),
-            journal=JournalSettings(path=str(self.journal), max_mb=0.1),
+            journal=JournalSettings(path=str(self.journal)),
             live=LiveSettings(port=self.page_port),
             mqtt=MqttSettings(host="127.0.0.1", port=broker, pressure_hz=500.0),
             rosbridge=RosbridgeSettings(url=f"ws://127.0.0.1:{rosbridge}", pressure_hz=500.0),
