@@ -213,8 +213,7 @@ class TouchStore:
 
     def _take_over(self) -> int:
         """Remove partial files of a killed program, and return the last count that was written here."""
-        with suppress(OSError):
-            _delete(self._folder.glob(f"{PARTIAL}*"))
+        _delete(self._folder.glob(f"{PARTIAL}*"))
         return max((kept.count for kept in kept_touches(self._folder)), default=0)
 
     def _provenance(self, touch: EndedTouch, pieces: TouchPieces) -> dict[str, str]:
@@ -243,15 +242,10 @@ def description_of(sensor: SensorSettings) -> str:
 
 
 def _delete(files: Iterable[Path]) -> None:
-    """Delete every file that can be deleted; then raises the OSError of the last that could not."""
-    trouble: OSError | None = None
+    """Delete every file that can be deleted."""
     for file in files:
-        try:
+        with suppress(OSError):
             file.unlink(missing_ok=True)
-        except OSError as error:
-            trouble = error
-    if trouble is not None:
-        raise trouble
 
 
 def folder_of(journal: Path, pad: str = DEFAULT_PAD) -> Path:
@@ -274,14 +268,12 @@ def kept_touches(folder: Path) -> list[KeptTouch]:
                 names = [entry.name for entry in entries if entry.is_file(follow_symlinks=False)]
         except FileNotFoundError:
             return []
-    return sorted(touch for name in names if (touch := kept_touch(folder / name)) is not None)
-
-
-def kept_touch(path: Path) -> KeptTouch | None:
-    """Return the touch that a file of this name holds; None if it is not a name of the store's."""
-    if parts := NAME.fullmatch(path.name):
-        return KeptTouch(int(parts[5]), ":".join(parts.group(1, 2, 3)), int(parts[4]), path)
-    return None
+    found = ((folder / name, NAME.fullmatch(name)) for name in names)
+    return sorted(
+        KeptTouch(int(parts[5]), ":".join(parts.group(1, 2, 3)), int(parts[4]), path)
+        for path, parts in found
+        if parts is not None
+    )
 
 
 def labels_in(folder: Path) -> dict[str, str]:

@@ -43,7 +43,6 @@ from touchd.daemon.sinks.touch_store import (
     file_name,
     folder_of,
     keep_touches,
-    kept_touch,
     kept_touches,
     labels_in,
 )
@@ -525,19 +524,6 @@ def test_a_folder_that_fails_loses_touches_and_says_so_once(
     assert failed.startswith("the frames of touches cannot be saved: ")
     assert again.startswith("the frames of touches are saved again; those of 2 were lost")
     assert [kept.number for kept in kept_touches(folder)] == [4]
-
-
-@pytest.mark.parametrize(
-    ("name", "touch"),
-    [
-        ("2026-11-20T10-00-01.250Z-7-31.csv.gz", (31, "2026-11-20T10:00:01.250Z", 7)),
-        ("2026-11-20T10-00-01.250Z-7.csv.gz", None),
-        ("anna_foam_fur_rub_1.csv.gz", None),
-    ],
-)
-def test_a_files_name_says_which_touch_it_holds(name: str, touch: tuple[int, str, int] | None) -> None:
-    kept = kept_touch(Path("folder") / name)
-    assert (kept and (kept.count, kept.time, kept.number)) == touch
 
 
 def test_a_folder_that_is_missing_holds_no_touches(tmp_path: Path) -> None:
