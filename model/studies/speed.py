@@ -47,8 +47,8 @@ from touchd.model.training.weights import HAART_MODEL, SCORES_NAME
 
 FILE = STORED / "speed.json"
 ANSWERS = 200
-WINDOW, NEXT_FRAME, PYTORCH = "window", "next frame", "PyTorch"
-"""Kinds of answers: a whole window, its last frame from the state before it, a window in PyTorch eager."""
+WINDOW, NEXT_FRAME = "window", "next frame"
+"""Kinds of answers: a whole window, or its last frame from the state before it."""
 PAPER_LENGTHS = (54, 72, 144)
 PAPERS: Mapping[str, str] = MappingProxyType(
     {"printed": "the paper's, printed", "public": "the paper's, its code"}
@@ -155,7 +155,7 @@ def answers_of(model: Path, folder: Path) -> list[Asked]:
     for variant, title in PAPERS.items():
         for frames in PAPER_LENGTHS:
             settings = PaperSettings("printed" if variant == "printed" else "public", frames)
-            asked += paper(title, settings, folder, 1.0 - TABLE3[frames] / 100)
+            asked.append(paper(title, settings, folder, 1.0 - TABLE3[frames] / 100))
     results = Results(CHALLENGE_FILE)
     for key, kind in CHALLENGE.items():
         for frames in LENGTHS:
@@ -183,17 +183,13 @@ def ours(model: Path, error: Callable[[int], float | None]) -> list[Asked]:
     return asked
 
 
-def paper(title: str, settings: PaperSettings, folder: Path, error: float | None) -> list[Asked]:
-    """Return the answers of one of the paper's networks: in ONNX Runtime, and in PyTorch at the longest."""
+def paper(title: str, settings: PaperSettings, folder: Path, error: float | None) -> Asked:
+    """Return the answer of one of the paper's networks in ONNX Runtime."""
     torch.manual_seed(0)
     network, frames = PaperTGC(settings, len(GESTURES)).eval(), settings.frames
     path = folder / f"{settings.variant}-{frames}.onnx"
     export(network, frames, path)
-    asked = [Asked(title, WINDOW, frames, path, error, _session(path, frames))]
-    if frames == TABLE_FRAMES:
-        window = torch.from_numpy(hand(frames)[None])
-        asked.append(Asked(title, PYTORCH, frames, path, error, partial(_ask_eagerly, network, window)))
-    return asked
+    return Asked(title, WINDOW, frames, path, error, _session(path, frames))
 
 
 def export(network: nn.Module, frames: int, path: Path) -> None:
@@ -219,18 +215,18 @@ HEADINGS = ("one answer", "file, MB", "ms", "times ours", "error, %")
 
 
 def rows(measured: Measured) -> list[tuple[str, ...]]:
-    """Return the rows under HEADINGS: all networks at 144 frames, the shipped one at every length."""
+    """Return the rows under HEADINGS: all networks' answers to 144 frames."""
     shipped = measured.shipped
     return [
         (
-            _title(each),
+            each.network if each.asked == WINDOW else f"{each.network}, {each.asked}",
             f"{each.file_bytes / 1e6:.1f}",
             f"{each.processor_ms:.2f}",
             f"{each.processor_ms / shipped.processor_ms:.2f}",
             "" if each.error is None else f"{100 * each.error:.1f}",
         )
         for each in measured.speeds
-        if each.frames == TABLE_FRAMES or each.network == shipped.network
+        if each.frames == TABLE_FRAMES
     ]
 
 
@@ -269,13 +265,6 @@ def draw(measured: Measured, path: Path) -> None:
     figure.savefig(path, dpi=120)
 
 
-def _title(speed: Speed) -> str:
-    """Return what was asked, with the window's length only if it differs from the table's."""
-    frames = () if speed.frames == TABLE_FRAMES else (f"{speed.frames} frames",)
-    asked = () if speed.asked == WINDOW else (speed.asked,)
-    return ", ".join((speed.network, *frames, *asked))
-
-
 def _shipped_error(frames: int) -> float | None:
     scores = read_scores(SHIPPED_MODEL.with_name(SCORES_NAME))
     return 1.0 - next(row.accuracy for row in scores.test.realigned if row.frames == frames)
@@ -292,8 +281,3 @@ def _session(path: Path, frames: int) -> Callable[[], object]:
     options.log_severity_level = 3
     session = onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])
     return partial(session.run, None, {"counts": hand(frames)[None]})
-
-
-def _ask_eagerly(network: nn.Module, window: Tensor) -> object:
-    with torch.inference_mode():
-        return network(window)
