@@ -7,7 +7,7 @@ import socket
 
 from touchd.drivers import hosts
 
-ADDRESS = re.compile(r"(tcp|udp|socket)://(\[[^\s\]]+\]|[^\s/:?]+)(?::(\d{0,5}))?")
+ADDRESS = re.compile(r"(tcp|udp)://(\[[^\s\]]+\]|[^\s/:?]+)(?::(\d{0,5}))?", re.IGNORECASE)
 CONNECT_S = 3.0
 MAX_BYTES = 65536
 WHY_NOT_BOUND = {
@@ -18,26 +18,14 @@ WHY_NOT_BOUND = {
 LONGEST_REFUSAL = 80
 
 
-def address_of(port: str) -> tuple[str, str, int] | None:
-    """Return "tcp" or "udp", host and number of a pad's address on the network, None for another port.
-
-    Raises ValueError for an address that is malformed.
-    """
-    port = port.strip()
-    scheme, _, rest = port.partition("://")
-    port = f"{scheme.lower()}://{rest}" if rest else port
-    if port.startswith("rfc2217://"):
-        # pyserial reads it into a queue that has no limit.
-        raise ValueError("not supported; set the server to raw TCP and write tcp://HOST:PORT")
-    if not port.startswith(("tcp://", "udp://", "socket://")):
-        return None
-    # pyserial takes options after a question mark.
-    match = ADDRESS.fullmatch(port.partition("?")[0] if port.startswith("socket") else port)
+def address_of(port: str) -> tuple[str, str, int]:
+    """Return "tcp" or "udp", host and number of a pad's address on the network; raises ValueError."""
+    match = ADDRESS.fullmatch(port.strip())
     if match is not None and not match[3]:
-        raise ValueError(f"lacks its port; write it as in {port.rstrip(':')}:4000")
+        raise ValueError(f"lacks its port; write it as in {port.strip().rstrip(':')}:4000")
     if match is None or int(match[3]) > 65535:
         raise ValueError("not an address such as tcp://192.168.1.20:4000 or udp://0.0.0.0:4000")
-    return None if match[1] == "socket" else (match[1], match[2].strip("[]"), int(match[3]))
+    return match[1].lower(), match[2].strip("[]"), int(match[3])
 
 
 class NetworkPort:

@@ -4,17 +4,16 @@ import contextlib
 import errno
 import fcntl
 import os
-import re
 import select
 import stat
 import termios
-import typing
 from pathlib import Path
-from typing import TypeAlias, Union
+from typing import TypeAlias
 
 import serial
 
 from touchd.drivers.errors import TouchdError
+from touchd.drivers.pad.network import NetworkPort, address_of
 from touchd.drivers.pad.parser import FrameParser
 
 READ_TIMEOUT_S = 0.1
@@ -39,10 +38,7 @@ FAULTS = {
     errno.ENOTTY: ("unusable", "is not a serial port: name a device like /dev/ttyACM0"),
 }
 
-if typing.TYPE_CHECKING:
-    from touchd.drivers.pad.network import NetworkPort
-
-Line: TypeAlias = Union[serial.Serial, "NetworkPort"]
+Line: TypeAlias = serial.Serial | NetworkPort
 
 
 class SensorError(TouchdError):
@@ -82,24 +78,20 @@ def at_baud(port: str, baud: int) -> str:
 def check_port(port: str, baud: int) -> None:
     """Raise SensorError if `port` is unusable, as far as can be seen.
 
-    port: a device, tcp://host:port, udp://address:port to listen at, or any `serial_for_url` address.
+    port: a device, tcp://host:port, or udp://address:port to listen at.
 
     Does not open it: opening restarts an Arduino, and disturbs whoever reads it already.
     """
     try:
         if "://" in port:
-            from touchd.drivers.pad.network import address_of
-
-            if address_of(port):
-                return
-        serial.serial_for_url(port, baudrate=baud, do_not_open=True)
-        if "://" in port:
+            address_of(port)
             return
+        serial.Serial(None, baud)
         if not stat.S_ISCHR(os.stat(port).st_mode):
             raise OSError(errno.ENOTTY, "no device")
         if not os.access(port, os.R_OK | os.W_OK, effective_ids=True):
             raise PermissionError(errno.EACCES, "permission denied")
-    except (OSError, ValueError, re.error) as error:
+    except (OSError, ValueError) as error:
         raise sensor_error(port, error) from error
 
 
@@ -107,16 +99,13 @@ def open_port(port: str, baud: int) -> Line:
     """Open `port` for this program alone; raise SensorError when that fails."""
     try:
         if "://" in port:
-            from touchd.drivers.pad.network import NetworkPort, address_of
-
-            if address := address_of(port):
-                return NetworkPort(port, *address, READ_TIMEOUT_S)
-        opened = serial.serial_for_url(port, baudrate=baud, timeout=READ_TIMEOUT_S, exclusive=True)
-    except (OSError, ValueError, LookupError, re.error, termios.error) as error:
+            return NetworkPort(port, *address_of(port), READ_TIMEOUT_S)
+        opened = serial.Serial(port, baud, timeout=READ_TIMEOUT_S, exclusive=True)
+    except (OSError, ValueError, termios.error) as error:
         raise sensor_error(port, error) from error
     # The lock above keeps out only programs that lock, too. A pseudo-terminal is left out, because it would
     # stay closed to others if touchd were killed.
-    if isinstance(opened, serial.Serial) and not os.path.realpath(port).startswith("/dev/pts/"):
+    if not os.path.realpath(port).startswith("/dev/pts/"):
         with contextlib.suppress(OSError):
             fcntl.ioctl(opened.fileno(), termios.TIOCEXCL)
     # Otherwise an FTDI adapter delays bytes by up to 16 ms; other ports lack the setting.
@@ -129,13 +118,9 @@ def read_waiting(opened: Line, parser: FrameParser) -> bytes:
     """Return what has arrived, waiting at most 0.1 s for it; raise SensorError when it cannot be read."""
     port = str(opened.port)
     try:
-        if not isinstance(opened, serial.SerialBase):
+        if isinstance(opened, NetworkPort):
             return opened.read(is_text=parser.format.framing == "text")
-        # pyserial's own read takes five system calls; two are enough.
-        if type(opened) is serial.Serial:
-            return _read(port, opened.fileno())
-        first = opened.read(1)
-        return first + opened.read(opened.in_waiting) if first else b""
+        return _read(port, opened.fileno())
     except (OSError, termios.error) as error:
         raise _gone(port, error) from error
 
@@ -150,7 +135,7 @@ def forget_waiting(opened: Line) -> None:
 
 def reads_all(opened: Line) -> bool:
     """Whether one read returns all that has arrived, as on a serial port; over UDP it is a datagram."""
-    return type(opened) is serial.Serial or (not isinstance(opened, serial.SerialBase) and opened.is_stream)
+    return not isinstance(opened, NetworkPort) or opened.is_stream
 
 
 def _gone(port: str, error: Exception) -> SensorError:
@@ -161,7 +146,10 @@ def _gone(port: str, error: Exception) -> SensorError:
 
 
 def _read(port: str, fd: int) -> bytes:
-    """Return what has arrived at a port, waiting at most READ_TIMEOUT_S for it."""
+    """Return what has arrived at a port, waiting at most READ_TIMEOUT_S for it.
+
+    pyserial's own read takes five system calls; two are enough.
+    """
     if not select.select([fd], [], [], READ_TIMEOUT_S)[0]:
         return b""
     try:

@@ -1,6 +1,5 @@
 """The sensor delivers every intact frame at once, and stops at once."""
 
-import socket
 import time
 from collections import Counter
 from pathlib import Path
@@ -17,7 +16,6 @@ from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import Counts, Frame, SensorState
 from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.pad.parser import FrameParser
-from touchd.drivers.pad.port import check_port
 from touchd.drivers.pad.sensor import FrameQueue, Sensor
 
 
@@ -123,23 +121,6 @@ def test_a_fast_pads_frames_do_not_fill_its_port_meanwhile() -> None:
         sensor.stop()
     # Linux keeps 4096 bytes, which are 19 frames. A busy machine delays some of the reads.
     assert np.quantile(list(Counter(arrivals_s).values()), 0.9) < 15
-
-
-def test_any_pyserial_address_works() -> None:
-    stream = stream_of(60)
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        address = f"socket://127.0.0.1:{server.getsockname()[1]}"
-        check_port(address, BAUD)
-        with sensing(address) as queue:
-            connection, _ = server.accept()
-            with connection:
-                for counts, ms in zip(stream.counts, stream.sensor_ms.tolist(), strict=True):
-                    connection.sendall(encode_fabric_grid(counts, ms))
-                    time.sleep(0.002)
-                frames = next_frames(queue, 10)
-    # Bytes sent while the port is being opened are discarded, as on a cable.
-    first = stream.sensor_ms.tolist().index(frames[0].sensor_ms)
-    assert_played(frames, stream, range(first, first + 10))
 
 
 def test_a_full_queue_drops_old_frames_but_no_state() -> None:
