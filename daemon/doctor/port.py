@@ -109,14 +109,13 @@ def _text(path: Path) -> str:
 
 def advice_for(port: str, error: SensorError) -> str:
     """Say what to do about a port that cannot be opened or read."""
-    if error.kind in ("busy", "shared") and "://" not in port:
+    if "://" in port:
+        missing = "is the pad's board switched on, in this network, and no other program connected to it?"
+        return missing if error.kind == "missing" else ""
+    if error.kind in ("busy", "shared"):
         return f"end the other program ({programs_at(port) or f'fuser {port} shows which'})"
-    if error.kind == "busy":
-        return "does it serve one program at a time, and is another one connected?"
     if error.kind == "denied":
         return group_of_the_next_login() or _how_to_get_permission(port, error.number)
-    if "://" in port:
-        return "is the pad's board switched on, and in this network?" if error.kind == "missing" else ""
     if error.number == errno.ENXIO:
         advice = "plug the pad in; in a container, give it the folder /dev/serial/by-id and name a port there"
     else:

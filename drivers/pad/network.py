@@ -14,8 +14,6 @@ WHY_NOT_BOUND = {
     errno.EADDRNOTAVAIL: "not an address of this computer, where touchd listens for the board; use udp://0.0.0.0",
     errno.EACCES: "ports below 1024 are the system's; choose a higher one",
 }
-# A server that is busy may say so before it closes the connection, as ser2net does; quote this much of it.
-LONGEST_REFUSAL = 80
 
 
 def address_of(port: str) -> tuple[str, str, int]:
@@ -47,7 +45,6 @@ class NetworkPort:
                 if error.errno in WHY_NOT_BOUND:
                     raise ValueError(WHY_NOT_BOUND[error.errno]) from error
                 raise
-        self._received = b""
         self._socket.settimeout(timeout_s)
 
     def read(self, *, is_text: bool) -> bytes:
@@ -59,27 +56,13 @@ class NetworkPort:
             data = self._socket.recv(MAX_BYTES)
         except TimeoutError:
             return b""
-        except ConnectionResetError as error:
-            raise self._closed() from error
-        if self.is_stream:
-            if not data:
-                raise self._closed()
-            self._note(data)
-            return data
-        return _ended_lines(data) if is_text else data
-
-    def _note(self, data: bytes) -> None:
-        self._received = (self._received + data)[:LONGEST_REFUSAL]
-
-    def _closed(self) -> ConnectionError:
-        if len(self._received) == LONGEST_REFUSAL:
-            return ConnectionResetError(errno.ECONNRESET, "closed the connection")
-        what = repr(self._received.decode(errors="replace").strip()) if self._received else "nothing"
-        return ConnectionAbortedError(errno.ECONNABORTED, f"closed the connection at once; it sent {what}")
+        if self.is_stream and not data:
+            raise ConnectionResetError(errno.ECONNRESET, "closed")
+        return _ended_lines(data) if is_text and not self.is_stream else data
 
     def reset_input_buffer(self) -> None:
-        while select.select([self._socket], [], [], 0)[0] and (data := self._socket.recv(MAX_BYTES)):
-            self._note(data)
+        while select.select([self._socket], [], [], 0)[0] and self._socket.recv(MAX_BYTES):
+            pass
 
     def __enter__(self) -> "NetworkPort":
         return self

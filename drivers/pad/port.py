@@ -25,7 +25,7 @@ FAULTS = {
     errno.ENODEV: ("missing", "is not there"),
     errno.ENXIO: ("missing", "has no device any more, only its node is left"),
     errno.EIO: ("missing", "went away: unplugged or switched off?"),
-    errno.ECONNRESET: ("missing", "went away: unplugged or switched off?"),
+    errno.ECONNRESET: ("missing", "closed the connection"),
     errno.ECONNREFUSED: ("missing", "refuses the connection"),
     errno.EHOSTUNREACH: ("missing", "cannot be reached"),
     errno.ENETUNREACH: ("missing", "cannot be reached"),
@@ -140,9 +140,7 @@ def reads_all(opened: Line) -> bool:
 
 def _gone(port: str, error: Exception) -> SensorError:
     """Return an error of reading an opened port: whatever its number, the device or the other end is gone."""
-    if isinstance(error, ConnectionAbortedError):
-        return SensorError("busy", f"{port} {error.strerror}")
-    return sensor_error(port, OSError(errno.EIO, "gone"))
+    return sensor_error(port, error if isinstance(error, ConnectionResetError) else OSError(errno.EIO, "gone"))
 
 
 def _read(port: str, fd: int) -> bytes:

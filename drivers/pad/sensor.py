@@ -29,8 +29,6 @@ FLOOD_BYTES, FLOOD_REST, LONGEST_REST_S = 16384, 9, 0.25
 # A frame's time at 54 Hz, with a little for jitter. Linux keeps 4096 bytes of a port: sleep no longer than
 # half as many take to come.
 FRAME_S, HALF_BUFFER_BYTES = 0.0186, 2048
-# At this rate many boards start their boot loader when the port is closed.
-BOOT_BAUD = 1200
 
 
 class FrameQueue(DroppingQueue[Frame | SensorState]):
@@ -77,12 +75,6 @@ class Sensor:
 
     def start(self) -> None:
         """Begin to read; returns at once."""
-        if self._baud == BOOT_BAUD and "://" not in self._port:
-            log.warning(
-                "%s: closing a port at 1200 baud starts the boot loader of many boards; set the baud rate of "
-                "the pad's firmware",
-                self._port,
-            )
         self._thread.start()
 
     def stop(self, timeout_s: float = 1.0) -> None:

@@ -3,7 +3,6 @@
 import grp
 import os
 import pwd
-import socket
 import termios
 from collections.abc import Callable
 from functools import partial
@@ -116,22 +115,6 @@ def test_a_pad_unplugged_while_listening_is_reported() -> None:
         after = listen(opened, FrameParser(SETTINGS.sensor.described), 0.3)
     assert len(first.frames) > 5
     assert "unplugged" in check_protocol(after, SETTINGS.sensor, opened, lambda: Finding(None, "", "")).found
-
-
-@pytest.mark.parametrize("is_flushed", [True, False], ids=["after a flush", "at once"])
-def test_a_server_that_is_busy_is_quoted_and_no_cable_blamed(is_flushed: bool) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        sensor = SensorSettings(port=f"tcp://127.0.0.1:{server.getsockname()[1]}")
-        with open_port(sensor.port, 512_000) as opened:
-            connection, _ = server.accept()
-            connection.sendall(b"Port already in use\r\n")
-            connection.close()
-            if is_flushed:
-                opened.reset_input_buffer()
-            seen = listen(opened, FrameParser(sensor.described), 1.0)
-            check = check_protocol(seen, sensor, opened, lambda: Finding(None, "", ""))
-    assert "'Port already in use'" in check.found
-    assert check.advice == "does it serve one program at a time, and is another one connected?"
 
 
 def test_a_line_that_damages_frames_is_recognised() -> None:

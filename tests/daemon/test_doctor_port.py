@@ -149,13 +149,7 @@ def test_without_a_view_of_other_programs_fuser_is_advised(monkeypatch: pytest.M
             "tcp://pad:4000",
             "missing",
             errno.ECONNREFUSED,
-            "is the pad's board switched on, and in this network?",
-        ),
-        (
-            "tcp://pad:4000",
-            "busy",
-            None,
-            "does it serve one program at a time, and is another one connected?",
+            "is the pad's board switched on, in this network, and no other program connected to it?",
         ),
         ("/dev/ttyACM9", "denied", errno.EPERM, "docker run --device /dev/ttyACM9"),
         (

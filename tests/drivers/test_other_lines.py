@@ -48,7 +48,7 @@ def test_a_lost_tcp_pad_is_found_again() -> None:
                     assert_played(next_frames(queue, 50), STREAM, range(first, first + 50))
                 down = next_state(queue)
                 assert down.state == "down"
-                assert down.reason.startswith(f"{address} went away: unplugged or switched off?")
+                assert down.reason.startswith(f"{address} closed the connection; touchd doctor says more")
 
 
 def test_no_frame_spans_a_reconnect() -> None:

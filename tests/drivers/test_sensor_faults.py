@@ -246,25 +246,6 @@ def test_another_program_that_takes_bytes_is_reported_until_it_ends() -> None:
         next_frames(queue, 5)
 
 
-@pytest.mark.parametrize(
-    ("sent", "reason"),
-    [
-        (b"", "closed the connection at once; it sent nothing"),
-        (b"Port already in use\r\n", "closed the connection at once; it sent 'Port already in use'"),
-        (encode_fabric_grid(stream_of(1).counts[0], 18)[:150], "went away: unplugged or switched off?"),
-    ],
-    ids=["nothing", "words", "half a frame"],
-)
-def test_a_server_that_closes_at_once_is_quoted(sent: bytes, reason: str) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
-        with sensing(address) as queue:
-            connection, _ = server.accept()
-            connection.sendall(sent)
-            connection.close()
-            assert next_state(queue).reason == f"{address} {reason}; touchd doctor says more"
-
-
 def test_a_pad_that_comes_back_under_another_name_is_said(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -273,12 +254,3 @@ def test_a_pad_that_comes_back_under_another_name_is_said(
         assert next_state(queue).reason == f"{tmp_path}/ttyACM0 is not there; touchd doctor says more"
         (tmp_path / "ttyACM1").touch()
         assert f"is not there; there is {tmp_path}/ttyACM1; " in next_state(queue).reason
-
-
-def test_the_rate_that_starts_boot_loaders_is_warned_of_once(caplog: pytest.LogCaptureFixture) -> None:
-    for port, baud in (("/dev/touchd-none", 1200), ("/dev/touchd-none", 9600), ("tcp://127.0.0.1:1", 1200)):
-        sensor = Sensor(port, baud, FabricGrid(), FrameQueue())
-        sensor.start()
-        sensor.stop()
-    (warning,) = [message for message in caplog.messages if "boot loader" in message]
-    assert warning.startswith("/dev/touchd-none: closing a port at 1200 baud")
