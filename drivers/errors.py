@@ -31,13 +31,16 @@ TouchdError
 Other errors are handled where they arise and never shown, or internal: exit code 1.
 """
 
+import argparse
 import errno
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TypeVar
 
 MAX_LINE_BYTES = 4000
+Number = TypeVar("Number", int, float)
 DISK_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -91,3 +94,18 @@ def written_out(path: str) -> Path:
         return Path(path).expanduser()
     except RuntimeError as error:
         raise PathError(f"{path}: unknown home; set HOME, or write the whole path from / on") from error
+
+
+def within(kind: type[Number], low: Number, high: Number) -> Callable[[str], Number]:
+    """Return an argparse type: a number from `low` to `high`."""
+
+    def number(text: str) -> Number:
+        try:
+            value = kind(text)
+        except ValueError:
+            value = None
+        if value is None or not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"{text!r} is not a number from {low:g} to {high:g}")
+        return value
+
+    return number

@@ -25,9 +25,9 @@ from touchd.daemon.path.pipeline import Pipeline
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
 from touchd.daemon.playback.stream import DEMO_RECORDING, play
 from touchd.daemon.sinks.touches import decode
+from touchd.drivers.errors import within
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import FRAME_RATE_HZ
-from touchd.drivers.numbers import within
 from touchd.drivers.recording import Stream, read_recordings, splice
 
 QUIET_S = 20.0

@@ -15,7 +15,7 @@ from touchd.daemon.doctor.check import Check, Verdict
 from touchd.daemon.doctor.examine import examine
 from touchd.daemon.doctor.hand import add_grid, can_ask
 from touchd.daemon.view.terminal import text_width
-from touchd.drivers.numbers import within
+from touchd.drivers.errors import within
 
 VERDICT_WIDTH, NAME_WIDTH = 11, 11
 ADVICE_AT = VERDICT_WIDTH + NAME_WIDTH + 2

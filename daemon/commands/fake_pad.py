@@ -14,11 +14,11 @@ from touchd.daemon.commands.one_pad import add_settings, settings_of
 from touchd.daemon.commands.settings import parsed
 from touchd.daemon.live.address import listen, parse_address, urls_of
 from touchd.daemon.playback.rig import encoder_for
+from touchd.drivers.errors import within
 from touchd.drivers.fakes.fake_port import LivePort
 from touchd.drivers.fakes.hand import PLAYED, PlayedHand, SimulatedPad
 from touchd.drivers.frame import NO_TOUCH
 from touchd.drivers.installed import program_name
-from touchd.drivers.numbers import within
 
 GESTURES = sorted({*PLAYED, NO_TOUCH})
 DEFAULT_GESTURES = "pat,stroke,rub,constant"

@@ -33,9 +33,8 @@ from touchd.daemon.doctor.hand import (
 )
 from touchd.daemon.doctor.machine import certificate_at, check_robot, find_robot, robot_urls
 from touchd.daemon.doctor.port import LastingName, advice_for, lasting_name, why_no_port
-from touchd.drivers.errors import os_errors_as
+from touchd.drivers.errors import os_errors_as, within
 from touchd.drivers.installed import program_name
-from touchd.drivers.numbers import within
 from touchd.drivers.pad.format import PRESETS, PadFormat, as_yaml
 from touchd.drivers.pad.port import Line, SensorError, at_baud, open_port
 from touchd.drivers.robot.session import RobotError

@@ -11,8 +11,7 @@ from rich.console import Console
 from touchd.daemon.commands.one_pad import add_settings, load_model, settings_of
 from touchd.daemon.playback.stream import add_arguments, chosen_stream
 from touchd.daemon.sinks.touches import read_journal
-from touchd.drivers.errors import one_line
-from touchd.drivers.numbers import within
+from touchd.drivers.errors import one_line, within
 from touchd.drivers.recording import SUFFIXES
 
 MOST_TOUCHES = 100

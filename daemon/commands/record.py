@@ -11,7 +11,7 @@ from touchd.daemon.record.capture import PadReader
 from touchd.daemon.record.dialogue import GESTURES, HOW, Dialogue, Terms
 from touchd.daemon.record.session import Session, ask_setting, name
 from touchd.daemon.view.terminal import Stopped, text_width
-from touchd.drivers.numbers import within
+from touchd.drivers.errors import within
 from touchd.drivers.recording import prepare
 from touchd.model.adapt.folder import trouble_with
 

@@ -11,9 +11,9 @@ import msgspec
 from touchd.daemon.commands.one_pad import add_settings, settings_of
 from touchd.daemon.playback.rig import encoder_for
 from touchd.daemon.playback.stream import add_arguments, chosen_stream
+from touchd.drivers.errors import within
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.installed import program_name
-from touchd.drivers.numbers import within
 from touchd.drivers.pad.format import PRESETS
 
 

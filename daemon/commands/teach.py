@@ -17,7 +17,7 @@ from touchd.daemon.record.dialogue import GESTURES, HOW, HOW_ONCE, Dialogue, Ter
 from touchd.daemon.record.session import Session, Setting, ask_name, name
 from touchd.daemon.robot.words import name_of, words_of
 from touchd.daemon.view.terminal import Stopped, text_width
-from touchd.drivers.numbers import within
+from touchd.drivers.errors import within
 from touchd.drivers.recording import prepare
 
 ROUNDS = 2

@@ -12,8 +12,8 @@ from touchd.daemon.path.monitor import FAULTS, STILL_S, TaxelFaults, places
 from touchd.daemon.path.tracker.baseline import MAX_DEVIATION_COUNTS
 from touchd.daemon.path.tracker.tracker import Onset, TouchTracker
 from touchd.drivers.frame import COLUMNS, MAX_COUNT, ROWS, Frame
+from touchd.drivers.pad.clock import steps_ms
 from touchd.drivers.pad.grid import Ring
-from touchd.drivers.pad.pace import steps_ms
 from touchd.model.classifier import KNOWN_REST_COUNTS
 
 # In HAART's recordings a taxel at rest reads 2.5 counts on average and 28 at most, with a noise of 0.8.

@@ -14,10 +14,9 @@ from typing import Protocol
 
 import msgspec
 
-from touchd.drivers.errors import os_errors_as
+from touchd.drivers.errors import os_errors_as, within
 from touchd.drivers.fakes.qi_server import QiServer
 from touchd.drivers.fakes.services import SERVICE_NAMES, Call, fake_services
-from touchd.drivers.numbers import within
 from touchd.drivers.robot.session import RobotError
 
 LONGEST_S = 9999.0

@@ -140,7 +140,8 @@ def reads_all(opened: Line) -> bool:
 
 def _gone(port: str, error: Exception) -> SensorError:
     """Return an error of reading an opened port: whatever its number, the device or the other end is gone."""
-    return sensor_error(port, error if isinstance(error, ConnectionResetError) else OSError(errno.EIO, "gone"))
+    number = errno.ECONNRESET if isinstance(error, ConnectionResetError) else errno.EIO
+    return sensor_error(port, OSError(number, "gone"))
 
 
 def _read(port: str, fd: int) -> bytes:

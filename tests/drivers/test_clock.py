@@ -7,8 +7,8 @@ import pytest
 from rigs.formats import FabricGrid, encode_fabric_grid
 from rigs.wire import assert_are, counts_of, flip, packet, packets
 
-from touchd.drivers.frame import Frame, ProtocolCounts
-from touchd.drivers.pad.clock import ArrivalClock, PadClock
+from touchd.drivers.frame import CLOCK_MODULUS, Frame, ProtocolCounts
+from touchd.drivers.pad.clock import ArrivalClock, PadClock, clock_ms, pace_of
 
 STILL = np.zeros((8, 8), np.uint16)
 WILD = encode_fabric_grid(counts_of(9), 123_456_789)
@@ -234,3 +234,29 @@ def test_a_clock_that_jumped_ahead_lately_or_just_began_has_not_restarted(
 def test_two_boards_on_one_line_are_at_most_one_restart(turn_s: float) -> None:
     counts, _ = dated(lambda second: round(1000 * second) + 90_000 * (second % (2 * turn_s) < turn_s), 55.0)
     assert counts.restarts <= 1
+
+
+STEP_MS = 19
+
+
+def frames_at(stamps: Sequence[int]) -> list[Frame]:
+    return [Frame(ms % CLOCK_MODULUS, 0.0, STILL) for ms in stamps]
+
+
+def test_frames_lost_in_a_gap_are_counted() -> None:
+    pace = pace_of(frames_at([5000 + STEP_MS * number for number in range(20) if number not in (8, 9, 10)]))
+    assert pace.lost == 3
+    assert pace.rate_hz == pytest.approx(1000 / STEP_MS)
+    assert pace.jitter_ms == 0.0
+
+
+def test_a_clock_that_wraps_continues() -> None:
+    stamps = [CLOCK_MODULUS - 100 + STEP_MS * number for number in range(20)]
+    assert clock_ms(frames_at(stamps)).tolist() == stamps
+    assert pace_of(frames_at(stamps)).lost == 0
+
+
+def test_a_clock_that_restarts_continues_by_the_usual_step() -> None:
+    stamps = [5000 + STEP_MS * number for number in range(20)]
+    frames = frames_at([*stamps[:10], *range(0, 10 * STEP_MS, STEP_MS)])
+    assert clock_ms(frames).tolist() == stamps
