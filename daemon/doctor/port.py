@@ -5,7 +5,6 @@ import grp
 import os
 import pwd
 import re
-import stat
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
@@ -16,12 +15,8 @@ BY_ID, BY_PATH = Path("/dev/serial/by-id"), Path("/dev/serial/by-path")
 TTY, USB = Path("/sys/class/tty"), Path("/sys/bus/usb/devices")
 # Adapters from USB to serial, as in the udev rule: CH340, CP210x, FTDI, PL2303.
 ADAPTERS = re.compile(r"1a86:(5523|752[23]|55d.)|10c4:ea(60|70|71)|0403:60(01|1[0145])|067b:2...")
-# Arduino and Teensy: the udev rule gives their boards the name /dev/touchd-pad.
-VENDORS_OF_THE_RULE = {"2341", "2a03", "16c0"}
 SERIAL_GROUPS = ("dialout", "uucp", "plugdev")
 MOST_PROGRAMS = 3
-# In a user namespace without the host's groups, as of a rootless container, this group owns what they own.
-OVERFLOW_GROUP = Path("/proc/sys/kernel/overflowgid")
 
 
 class LastingName(NamedTuple):
@@ -46,26 +41,18 @@ def lasting_name(port: str, by_id: Path = BY_ID, by_path: Path = BY_PATH, tty: P
     /dev/ttyACM0 is whichever board was plugged in first, and two boards may both claim /dev/touchd-pad.
     A name that the user chose, other than these, is returned as it is.
     """
-    device = os.path.realpath(port)
-    is_link = "://" not in port and os.path.islink(port) and Path(port).name != "touchd-pad"
-    if "://" in port or is_link or not os.path.exists(port):
+    is_chosen = "://" in port or (os.path.islink(port) and Path(port).name != "touchd-pad")
+    if is_chosen or not os.path.exists(port):
         return LastingName(port, "as given")
+    device = os.path.realpath(port)
     boards = {entry.name: board for entry in tty.glob("*") if (board := _board_of(entry)) is not None}
     own = boards.get(Path(device).name)
-    others = {board for board in boards.values() if own and board.place != own.place}
-    alike = [board for board in others if own and (board.vendor, board.product) == (own.vendor, own.product)]
-    rivals = [board for board in others if board in alike or board.vendor in VENDORS_OF_THE_RULE]
-    if os.path.islink(port) and not rivals:
-        return LastingName(port, "the name that the udev rule gives this board")
-    has_number = own is not None and own.serial and own.serial not in {board.serial for board in alike}
-    if has_number and (name := _link_to(device, by_id)):
+    has_serial = own is not None and own.serial != ""
+    is_alone = not any(own and board[1:] == own[1:] and board != own for board in boards.values())
+    if has_serial and is_alone and (name := _link_to(device, by_id)):
         return LastingName(name, "it stays with this board, by its serial number")
     if name := _link_to(device, by_path):
-        why = (
-            "another board has the same serial number"
-            if own and own.serial
-            else "the board has no serial number"
-        )
+        why = "another board has the same serial number" if has_serial else "the board has no serial number"
         return LastingName(name, f"it stays with this socket; {why}")
     return LastingName(port, "the only name that it has")
 
@@ -137,86 +124,45 @@ def group_of_the_next_login() -> str:
 
 
 def _how_to_get_permission(port: str, number: int | None) -> str:
-    node = os.stat(port) if os.path.exists(port) else None
-    if number == errno.EPERM or (node is not None and _mode_allows(node)):
-        # The node's mode allows it; a rule of systemd or of a container does not.
-        if "INVOCATION_ID" not in os.environ:
-            return f"in a container? start it with the device, as in docker run --device {port}"
-        allow = f"DeviceAllow={_device_class(port, node)} rw"
+    if number == errno.EPERM and "INVOCATION_ID" in os.environ:
         return (
-            f"the service's unit does not allow it; sudo systemctl edit touchd, add {allow} under [Service], "
-            "and sudo systemctl restart touchd"
+            "the service's unit does not allow it; sudo systemctl edit touchd, add "
+            f"DeviceAllow={port} rw under [Service], and sudo systemctl restart touchd"
         )
-    if node is not None and node.st_gid == _overflow_group():
-        return "in a rootless container: start it with --group-add keep-groups, in the device's group"
-    group = _group_of(node)
+    if number == errno.EPERM:
+        return f"in a container? start it with the device, as in docker run --device {port}"
+    group = _group_of(port)
     return (
         f"add the user to the group {group} (sudo usermod -aG {group} $USER, then log out and in again) or "
         "install the udev rule systemd/99-touchd.rules"
     )
 
 
-def _overflow_group() -> int | None:
-    """Return the group that stands for those which this namespace does not know, None outside of one."""
-    with suppress(OSError, ValueError):
-        is_outside = Path("/proc/self/gid_map").read_text().split()[2] == str(2**32 - 1)
-        return None if is_outside else int(OVERFLOW_GROUP.read_text())
-    return None
+def _group_of(port: str) -> str:
+    """Return the group that may open serial devices here: dialout, on Arch uucp."""
+    with suppress(KeyError, OSError):
+        if (name := grp.getgrgid(os.stat(port).st_gid).gr_name) in SERIAL_GROUPS:
+            return name
+    return SERIAL_GROUPS[0]
 
 
 def programs_at(port: str) -> str:
     """Return the other programs that have a device open, as fuser does, as far as this user may see them."""
-    try:
+    found: list[str] = []
+    with suppress(OSError):
         device = os.stat(port).st_rdev
-    except OSError:
-        return ""
-    # A process may end while it is looked at, or belong to another user.
-    found = [process for process in sorted(Path("/proc").glob("[0-9]*")) if _has_open(process, device)]
-    return ", ".join(map(_named, found[:MOST_PROGRAMS]))
+        for process in sorted(Path("/proc").glob("[0-9]*")):
+            # A process may end while it is looked at, or belong to another user.
+            with suppress(OSError):
+                if process.name != str(os.getpid()) and _has_open(process, device):
+                    name = (process / "comm").read_text(errors="replace").strip()
+                    found.append(f"{name}, process {process.name}")
+    return ", ".join(found[:MOST_PROGRAMS])
 
 
 def _has_open(process: Path, device: int) -> bool:
-    if process.name == str(os.getpid()):
-        return False
-    try:
-        # Follow only links to devices: a file on a network that hangs would hang this thread too.
-        return any(
-            os.readlink(fd).startswith("/dev/") and os.stat(fd).st_rdev == device
-            for fd in (process / "fd").iterdir()
-        )
-    except OSError:
-        return False
-
-
-def _named(process: Path) -> str:
-    try:
-        name = (process / "comm").read_text(errors="replace").strip()
-    except OSError:
-        name = "a program"
-    return f"{name}, process {process.name}"
-
-
-def _mode_allows(node: os.stat_result) -> bool:
-    """Whether a node's owner, group and mode allow it. `os.access` asks a container's rules, too."""
-    shift = 6 if node.st_uid == os.geteuid() else 3 * (node.st_gid in (os.getegid(), *os.getgroups()))
-    return os.geteuid() == 0 or node.st_mode >> shift & 6 == 6
-
-
-def _group_of(node: os.stat_result | None) -> str:
-    """Return the group that may open serial devices here: dialout, on Arch uucp."""
-    try:
-        name = grp.getgrgid(node.st_gid).gr_name if node is not None else ""
-    except KeyError:
-        name = ""
-    return name if name in SERIAL_GROUPS else SERIAL_GROUPS[0]
-
-
-def _device_class(port: str, node: os.stat_result | None) -> str:
-    """Return what systemd's DeviceAllow takes: the driver's name in /proc/devices, else the device's path."""
-    if node is None or not stat.S_ISCHR(node.st_mode):
-        return port
-    characters = Path("/proc/devices").read_text().partition("Block devices:")[0]
-    names = re.findall(rf"^ *{os.major(node.st_rdev)} (\S+)$", characters, re.MULTILINE)
-    # Major 4 is shared by virtual consoles and the serial ports of a mainboard.
-    fitting = [name for name in names if Path(os.path.realpath(port)).name.startswith(name)]
-    return f"char-{max(fitting, key=len)}" if fitting else os.path.realpath(port)
+    # Follow only links to devices: a file on a network that hangs would hang this thread too.
+    return any(
+        os.readlink(fd).startswith("/dev/") and os.stat(fd).st_rdev == device
+        for fd in (process / "fd").iterdir()
+    )

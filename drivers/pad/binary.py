@@ -16,14 +16,9 @@ from touchd.drivers.pad.format import PadFormat, Sent, Values
 LONG_HEADER = 3
 CELL_BITS = {"u8": 8, "u12": 12, "u16": 16, "i16": 16, "f32": 32}
 PLAIN_CELLS = {
-    ("u8", "little"): "u1",
-    ("u8", "big"): "u1",
-    ("u16", "little"): "<u2",
-    ("u16", "big"): ">u2",
-    ("i16", "little"): "<i2",
-    ("i16", "big"): ">i2",
-    ("f32", "little"): "<f4",
-    ("f32", "big"): ">f4",
+    (cell, order): f"{sign}{kind}"
+    for cell, kind in (("u8", "u1"), ("u16", "u2"), ("i16", "i2"), ("f32", "f4"))
+    for order, sign in (("little", "<"), ("big", ">"))
 }
 # The bits of a packed cell in the order in which they come.
 U12_BITS = {"little": np.arange(12, dtype=np.uint16), "big": np.arange(12, dtype=np.uint16)[::-1]}

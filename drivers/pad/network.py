@@ -10,10 +10,6 @@ from touchd.drivers import hosts
 ADDRESS = re.compile(r"(tcp|udp)://(\[[^\s\]]+\]|[^\s/:?]+)(?::(\d{0,5}))?", re.IGNORECASE)
 CONNECT_S = 3.0
 MAX_BYTES = 65536
-WHY_NOT_BOUND = {
-    errno.EADDRNOTAVAIL: "not an address of this computer, where touchd listens for the board; use udp://0.0.0.0",
-    errno.EACCES: "ports below 1024 are the system's; choose a higher one",
-}
 
 
 def address_of(port: str) -> tuple[str, str, int]:
@@ -40,10 +36,8 @@ class NetworkPort:
             self._socket = socket.socket(family, socket.SOCK_DGRAM)
             try:
                 self._socket.bind((host, number))
-            except OSError as error:
+            except OSError:
                 self._socket.close()
-                if error.errno in WHY_NOT_BOUND:
-                    raise ValueError(WHY_NOT_BOUND[error.errno]) from error
                 raise
         self._socket.settimeout(timeout_s)
 

@@ -35,6 +35,10 @@ FAULTS = {
     # What pyserial's lock reports when another program that locks, as touchd does, has the port open.
     errno.EAGAIN: ("busy", "is open in another program"),
     errno.EADDRINUSE: ("busy", "is open in another program"),
+    errno.EADDRNOTAVAIL: (
+        "unusable",
+        "is not an address of this computer, where touchd listens for the board; use udp://0.0.0.0",
+    ),
     errno.ENOTTY: ("unusable", "is not a serial port: name a device like /dev/ttyACM0"),
 }
 
@@ -89,8 +93,6 @@ def check_port(port: str, baud: int) -> None:
         serial.Serial(None, baud)
         if not stat.S_ISCHR(os.stat(port).st_mode):
             raise OSError(errno.ENOTTY, "no device")
-        if not os.access(port, os.R_OK | os.W_OK, effective_ids=True):
-            raise PermissionError(errno.EACCES, "permission denied")
     except (OSError, ValueError) as error:
         raise sensor_error(port, error) from error
 
