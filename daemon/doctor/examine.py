@@ -8,8 +8,8 @@ from rich.console import Console
 from touchd.daemon.app.config import Settings
 from touchd.daemon.doctor.check import Check
 from touchd.daemon.doctor.hand import find_with_a_hand, find_without_asking
-from touchd.daemon.doctor.line import check_damage, check_format, check_opening, check_protocol, check_rate
-from touchd.daemon.doctor.listening import listen
+from touchd.daemon.doctor.line import check_damage, check_opening, check_protocol, check_rate
+from touchd.daemon.doctor.listening import Sample, listen
 from touchd.daemon.doctor.machine import check_model, check_robot, check_service
 from touchd.daemon.doctor.values import (
     check_noise,
@@ -21,6 +21,7 @@ from touchd.daemon.doctor.values import (
     is_pressed,
 )
 from touchd.drivers.pad.parser import FrameParser
+from touchd.drivers.pad.port import Line
 from touchd.drivers.search.search import Finding, Grid
 
 PRESS_S = 15.0
@@ -70,27 +71,34 @@ def _examine_pad(
         if len(sample.frames) < LEAST_FRAMES:
             yield Check("pad", "not checked", "no frames arrive")
             return
-        yield check_damage(sample)
-        yield check_rate(sample)
-        quiet = check_quiet(sample, settings)
-        yield quiet
-        if quiet.verdict == "ok":
-            yield check_rest(sample, settings)
-            yield check_noise(sample)
-        else:
-            yield Check("rest", "not checked", "measured only while nothing touches the pad")
-        yield from check_taxels(sample)
-        yield from check_values(sample, sensor.described.full_scale)
-        yield from check_format(sample.chunks, sensor)
-        if sample.broke_off:
-            return
-        if talk is None:
+        yield from _check_sample(sample, settings)
+        if talk is None and not sample.broke_off:
             yield Check("orientation", "not checked", "asked for in a terminal only")
-            return
-        rest = np.median(sample.counts(), axis=0)
-        say(f"Press the pad's top left corner with a finger, within {PRESS_S:g} s ...")
-        parser = FrameParser(sensor.described)
-        pressed = listen(opened, parser, PRESS_S, enough=lambda frame: is_pressed(frame, rest))
-        yield check_orientation(pressed, rest, settings)
-        if pressed.frames:
-            yield from check_values(pressed, sensor.described.full_scale)
+        elif not sample.broke_off:
+            yield from _check_pressed(sample, settings, opened, say)
+
+
+def _check_sample(sample: Sample, settings: Settings) -> Iterator[Check]:
+    """Yield the checks of a pad that was left alone."""
+    yield check_damage(sample)
+    yield check_rate(sample)
+    quiet = check_quiet(sample, settings)
+    yield quiet
+    if quiet.verdict == "ok":
+        yield check_rest(sample, settings)
+        yield check_noise(sample)
+    else:
+        yield Check("rest", "not checked", "measured only while nothing touches the pad")
+    yield from check_taxels(sample)
+    yield from check_values(sample, settings.sensor.described.full_scale)
+
+
+def _check_pressed(sample: Sample, settings: Settings, opened: Line, say: Say) -> Iterator[Check]:
+    """Ask for a press and yield the checks of it. sample: the pad at rest."""
+    described = settings.sensor.described
+    rest = np.median(sample.counts(), axis=0)
+    say(f"Press the pad's top left corner with a finger, within {PRESS_S:g} s ...")
+    pressed = listen(opened, FrameParser(described), PRESS_S, enough=lambda frame: is_pressed(frame, rest))
+    yield check_orientation(pressed, rest, settings)
+    if pressed.frames:
+        yield from check_values(pressed, described.full_scale)

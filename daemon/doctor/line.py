@@ -1,29 +1,29 @@
 """Checks of the pad's line: port, protocol, damage and frame rate."""
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
 from touchd.daemon.app.config import SensorSettings
-from touchd.daemon.doctor.check import Check
+from touchd.daemon.doctor.check import Check, Verdict
 from touchd.daemon.doctor.listening import START_S, Sample, listen
 from touchd.daemon.doctor.machine import service_runs
 from touchd.daemon.doctor.port import advice_for
 from touchd.daemon.doctor.values import MANY_SHARE
-from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, MIN_RATE_HZ, ROWS
+from touchd.drivers.frame import COLUMNS, MIN_RATE_HZ, ROWS
 from touchd.drivers.pad.clock import clock_by_ours, pace_of
 from touchd.drivers.pad.format import PadFormat, as_yaml
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import Line, SensorError, at_baud, check_port, forget_waiting, open_port
-from touchd.drivers.search.listen import USUAL_BAUDS, Chunk
-from touchd.drivers.search.search import Finding, search
+from touchd.drivers.search.listen import USUAL_BAUDS
+from touchd.drivers.search.search import Finding
 from touchd.drivers.search.text import is_text, looks_like
 
 TRY_BAUD_S = 0.5
-# The ring resamples any rate from the first on to 54 Hz; answers are best between the other two.
-# Below FEW_HZ, fast gestures, such as pats and tickles, look alike.
-FEW_HZ, SLOW_HZ, FAST_HZ = 20.0, 50.0, 100.0
+# Any rate from 8 Hz on is resampled to 54 Hz; answers are best from SLOW_HZ on. Below FEW_HZ, fast gestures,
+# such as pats and tickles, look alike.
+FEW_HZ, SLOW_HZ = 20.0, 50.0
 # One lost frame in a thousand is harmless.
 CLEAN_SHARE = 0.001
 CLOCK_TOLERANCE = 0.05
@@ -32,10 +32,13 @@ STOPPED_S = 1.0
 RECENT_BYTES = 32768
 LEAST_FRAMES = 4
 
-ADVICE_FOR_BYTES = {
-    "clock": "flash the pad's firmware again: each frame must carry the milliseconds since its start",
-    "damage": "try a shorter cable, another USB port, no hub",
-}
+TOO_SLOW: tuple[tuple[float, Verdict, str], ...] = (
+    (MIN_RATE_HZ, "to do", f"{MIN_RATE_HZ:g} are needed"),
+    (FEW_HZ, "warning", f"below {FEW_HZ:g} fast gestures are often wrong"),
+    (SLOW_HZ, "warning", f"{SLOW_HZ:g} or more are better"),
+)
+SCAN_FASTER = "have the firmware scan at 54 Hz; at 115200 baud a 10x10 frame just fits: use 512000"
+SEND_A_CLOCK = "flash the pad's firmware again: each frame must carry the milliseconds since its start"
 
 
 def check_opening(sensor: SensorSettings) -> tuple[Check, Line | None]:
@@ -60,52 +63,39 @@ def check_protocol(
 
     find: asks for a hand on the pad and searches what it sends.
     """
-    described = sensor.described
     if sample.frames:
-        found = f"{described}{at_baud(sensor.port, sensor.baud)}, as configured"
-        rows, columns = described.used
-        if described.crop and (rows < ROWS or columns < COLUMNS):
-            found = f"{found}, of which only the inner {rows}x{columns} are used"
-            return Check("protocol", "warning", found, "set sensor.crop: 0 if no cell is to be left out")
-        return Check("protocol", "ok", found)
+        return _check_described(sensor)
     if sample.broke_off:
         return Check("protocol", "to do", sample.broke_off, sample.advice)
+    described = sensor.described
     data = b"".join(chunk.data for chunk in sample.chunks)
     if not data:
-        return Check(
-            "protocol",
-            "to do",
-            f"no data within {START_S:g} s",
-            "is it the pad's port? press the reset button of its board; unplug it; flash its firmware",
-        )
-    kind, looks = _why_no_frame(data[-RECENT_BYTES:], described)
-    if kind != "format":
-        return Check("protocol", "to do", looks, ADVICE_FOR_BYTES[kind])
+        advice = "is it the pad's port? press the reset button of its board; unplug it; flash its firmware"
+        return Check("protocol", "to do", f"no data within {START_S:g} s", advice)
+    if _has_wrong_clock(data[-RECENT_BYTES:], described):
+        found = f"frames of {described} arrive, but their clock stands still or jumps"
+        return Check("protocol", "to do", found, SEND_A_CLOCK)
     if not is_text(data) and (baud := _other_baud(sensor, opened)):
         return Check("protocol", "to do", f"{described}, but at {baud} baud", f"set sensor.baud: {baud}")
     finding = find()
     if finding.proposed is not None:
-        return Check("protocol", "to do", looks, _advice_to_set(finding.proposed, sensor))
-    tried = "" if is_text(data) or "://" in sensor.port else f"; baud rates tried: {_listed(USUAL_BAUDS)}"
-    return Check(
-        "protocol", "to do", f"no frame of {described} in {finding.saw}", f"{finding.missing}{tried}"
-    )
+        found = f"no frame of {described} in {looks_like(data[-RECENT_BYTES:])}"
+        return Check("protocol", "to do", found, _advice_to_set(finding.proposed, sensor))
+    rates = ", ".join(map(str, sorted(USUAL_BAUDS)))
+    tried = "" if is_text(data) or "://" in sensor.port else f"; baud rates tried: {rates}"
+    found = f"no frame of {described} in {finding.saw}"
+    return Check("protocol", "to do", found, f"{finding.missing}{tried}")
 
 
-def check_format(chunks: Sequence[Chunk], sensor: SensorSettings) -> Iterator[Check]:
-    """Report the format that `init` would propose for a pad whose frames are read, if that differs."""
+def _check_described(sensor: SensorSettings) -> Check:
+    """Report the format whose frames are decoded, and whether its crop leaves too little of a small pad."""
     described = sensor.described
-    proposed = search(chunks, (described.rows, described.columns)).proposed
-    if proposed is not None and _grid(proposed) != _grid(described):
-        upside_down = described.invert != proposed.invert
-        own = f" with invert: {str(described.invert).lower()}" if upside_down else ""
-        found = f"the bytes look like {as_yaml(proposed)}, not like {described}{own}"
-        yield Check("format", "warning", found, _advice_to_set(proposed, sensor))
-
-
-def _grid(described: PadFormat) -> tuple[object, ...]:
-    cell = (described.cell, described.order) if described.framing == "binary" else ()
-    return (described.framing, described.rows, described.columns, described.invert, *cell)
+    found = f"{described}{at_baud(sensor.port, sensor.baud)}, as configured"
+    rows, columns = described.used
+    if described.crop and (rows < ROWS or columns < COLUMNS):
+        found = f"{found}, of which only the inner {rows}x{columns} are used"
+        return Check("protocol", "warning", found, "set sensor.crop: 0 if no cell is to be left out")
+    return Check("protocol", "ok", found)
 
 
 def _advice_to_set(proposed: PadFormat, sensor: SensorSettings) -> str:
@@ -117,10 +107,6 @@ def _advice_to_set(proposed: PadFormat, sensor: SensorSettings) -> str:
     ]
     delete = f"; delete {', '.join(wrong)} there" if wrong else ""
     return f"set under sensor: {as_yaml(proposed)}{delete}"
-
-
-def _listed(numbers: Sequence[int]) -> str:
-    return ", ".join(map(str, sorted(numbers)))
 
 
 def _other_baud(sensor: SensorSettings, opened: Line) -> int | None:
@@ -144,7 +130,7 @@ def check_damage(sample: Sample) -> Check:
     figures = {"frames": float(len(sample.frames)), "damaged": float(sample.damaged)}
     found = f"{len(sample.frames)} frames intact, {sample.damaged} damaged"
     if share > MANY_SHARE:
-        return Check("line", "to do", found, ADVICE_FOR_BYTES["damage"], figures)
+        return Check("line", "to do", found, "try a shorter cable, another USB port, no hub", figures)
     return Check("line", "ok" if share <= CLEAN_SHARE else "warning", found, "", figures)
 
 
@@ -171,31 +157,17 @@ def check_rate(sample: Sample) -> Check:
     clock = clock_by_ours(sample.frames)
     if abs(clock - 1) > CLOCK_TOLERANCE:
         found += f"; its clock runs {clock:.2f} times as fast as this machine's"
-        return Check("rate", "to do", found, ADVICE_FOR_BYTES["clock"], figures)
-    if round(pace.rate_hz) < SLOW_HZ:
-        advice = "have the firmware scan at 54 Hz; at 115200 baud a 10x10 frame just fits: use 512000"
-        if round(pace.rate_hz) < MIN_RATE_HZ:
-            return Check("rate", "to do", f"{found}; {MIN_RATE_HZ:g} are needed", advice, figures)
-        if round(pace.rate_hz) < FEW_HZ:
-            found += f"; below {FEW_HZ:g} fast gestures are often wrong"
-            return Check("rate", "warning", found, advice, figures)
-        return Check("rate", "warning", f"{found}; {SLOW_HZ:g} or more are better", advice, figures)
+        return Check("rate", "to do", found, SEND_A_CLOCK, figures)
+    for below_hz, verdict, words in TOO_SLOW:
+        if round(pace.rate_hz) < below_hz:
+            return Check("rate", verdict, f"{found}; {words}", SCAN_FASTER, figures)
     if pace.lost > CLEAN_SHARE * len(sample.frames):
         return Check("rate", "warning", f"{found}; {pace.lost} frames lost on the way", "", figures)
-    if pace.rate_hz > FAST_HZ:
-        found += f"; the model uses {FRAME_RATE_HZ:g} of them"
-        return Check("rate", "warning", found, "", figures)
     return Check("rate", "ok", found, "", figures)
 
 
-def _why_no_frame(data: bytes, described: PadFormat) -> tuple[str, str]:
-    """Return why the last bytes (a few frames' worth) hold no frame: the kind of trouble and a sentence.
-
-    The kinds are "clock" and "format".
-    """
+def _has_wrong_clock(data: bytes, described: PadFormat) -> bool:
+    """Whether bytes, a few frames' worth, hold frames that are refused for their clock alone."""
     parser = FrameParser(described)
     parser.feed(data, 0.0)
-    counts = parser.counts
-    if counts.duplicates + counts.bad_time >= LEAST_FRAMES:
-        return "clock", f"frames of {described} arrive, but their clock stands still or jumps"
-    return "format", f"no frame of {described} in {looks_like(data)}"
+    return parser.counts.duplicates + parser.counts.bad_time >= LEAST_FRAMES

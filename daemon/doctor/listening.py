@@ -7,16 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from touchd.daemon.doctor.port import advice_for
-from touchd.drivers.frame import CLOCK_MODULUS, Counts, Frame
+from touchd.drivers.frame import Counts, Frame
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import Line, SensorError, read_waiting
 from touchd.drivers.search.listen import MOST_BYTES, Chunk
 
 # Opening the port restarts an Arduino, whose boot loader takes two seconds.
 START_S = 4.0
-# No pad sends more than one frame per tick of its clock.
-TICK_MS = 1
-LONGEST_STEP_MS = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,20 +47,16 @@ def listen(
     start_s: float = START_S,
     enough: Callable[[Frame], bool] = lambda frame: False,
 ) -> Sample:
-    """Listen for `seconds` after the first frame, by the pad's clock or this machine's, whichever ends first.
+    """Listen for `seconds` after the first frame; without one, after the first bytes.
 
-    Without a frame, listen for `seconds` after the first bytes.
-    start_s: how long the first bytes may take. enough: stops listening at a frame if true.
-    Takes at most start_s + seconds.
+    start_s: how long the first bytes may take. enough: ends listening at a frame if true.
     """
     frames: list[Frame] = []
     chunks: list[Chunk] = []
-    size, broke_off, advice = 0, "", ""
-    damaged_before, passed_ms = 0, 0
+    size, broke_off, advice, damaged_before, is_enough = 0, "", "", 0, False
     now_s = time.monotonic()
     until_s = now_s + start_s
-    is_enough = False
-    while not is_enough and now_s < until_s and passed_ms < 1000 * seconds:
+    while not is_enough and now_s < until_s:
         try:
             data = read_waiting(opened, parser)
         except SensorError as error:
@@ -71,21 +64,14 @@ def listen(
             break
         now_s = time.monotonic()
         arrived = parser.feed(data, now_s)
-        if data and not chunks:
-            until_s = now_s + seconds
+        if (data and not chunks) or (arrived and not frames):
+            until_s, damaged_before = now_s + seconds, parser.counts.bad
+        frames += arrived
+        is_enough = any(map(enough, arrived))
         chunks += [Chunk(data, now_s)] if data else []
         size += len(data)
         while size > MOST_BYTES:
             size -= len(chunks.pop(0).data)
-        if arrived and not frames:
-            until_s = now_s + seconds
-            damaged_before = parser.counts.bad
-        for frame in arrived:
-            if frames:
-                step_ms = (frame.sensor_ms - frames[-1].sensor_ms) % CLOCK_MODULUS
-                passed_ms += min(max(step_ms, TICK_MS), LONGEST_STEP_MS)
-            frames.append(frame)
-            is_enough |= enough(frame)
     damaged = parser.counts.bad - damaged_before if frames else 0
     clipped = parser.counts.clipped / max(parser.counts.frames, 1)
     return Sample(

@@ -9,19 +9,18 @@ from typing import Any
 import numpy as np
 import pytest
 from rigs.formats import encode_fabric_grid
-from rigs.line_faults import NO_FAULTS, Faults, FaultyPort
+from rigs.line_faults import NO_FAULTS, Faults
 from rigs.sensor_rig import Encode, noise
 from rigs.wire import read_too_fast
 
 from touchd.daemon.app.config import Settings
 from touchd.daemon.doctor.check import Check
-from touchd.daemon.doctor.listening import Sample, listen
+from touchd.daemon.doctor.listening import Sample
 from touchd.drivers.fakes.encode import encode_frame
 from touchd.drivers.fakes.fake_port import FakePort
-from touchd.drivers.frame import Counts
+from touchd.drivers.frame import Counts, Frame
 from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.parser import FrameParser
-from touchd.drivers.pad.port import open_port
 from touchd.drivers.recording import Stream, ideal_clock_ms
 from touchd.model.studies.simulated import simulate
 
@@ -67,17 +66,13 @@ def pad_read_too_fast(counts: Counts, speed: int, described: PadFormat, pace: fl
     return pad_at_baud(counts, speed, encode, lambda *sent: read_too_fast(encode(*sent), 2), pace)
 
 
-def sample(
-    counts: Counts, encode: Encode = encode_fabric_grid, rate_hz: float = 54.0, faults: Faults = NO_FAULTS
-) -> Sample:
-    """Return what the doctor reads of these counts over a pty, at full speed."""
-    clock_ms = np.rint(np.arange(len(counts)) * 1000 / rate_hz).astype(np.int64)
-    almost_all_s = (len(counts) - 3) / rate_hz
-    with (
-        FaultyPort(Stream(counts, clock_ms, ()), encode, speed=None, faults=faults) as port,
-        open_port(port.path, 512_000) as opened,
-    ):
-        return listen(opened, FrameParser(SETTINGS.sensor.described), almost_all_s)
+def sample(counts: Counts, faults: Faults = NO_FAULTS) -> Sample:
+    """Return what the doctor reads of these counts, sent at 54 Hz."""
+    parser, frames = FrameParser(SETTINGS.sensor.described), list[Frame]()
+    for number, scan in enumerate(counts):
+        sent = encode_fabric_grid(scan, round(1000 * number / 54))
+        frames += parser.feed(faults.on_line(number, sent), number / 54)
+    return Sample(tuple(frames), parser.counts.bad, (), frames[-1].host_s, "", has_clock=True)
 
 
 def the(name: str, checks: Iterator[Check]) -> Check:
