@@ -4,7 +4,6 @@ import secrets
 import socket
 import ssl
 import threading
-from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
@@ -205,7 +204,6 @@ class _Client(mqtt.Client):
         self.is_greeted, self.why = False, ""
         self.topics: dict[int, str] = {}
         self._limit, self._stopping = limit, stopping
-        self._frames: deque[mqtt.MQTTMessageInfo] = deque()
         self.on_disconnect = self._on_end
         # With this callback, paho writes only in its loop and not also in the thread that publishes.
         self.on_socket_register_write = lambda *_: None
@@ -218,13 +216,9 @@ class _Client(mqtt.Client):
 
     def send_soon(self, topic: str, payload: bytes) -> bool:
         """Publish with QoS 0, unless much waits to be written; paho's own queue has no limit."""
-        while self._frames and self._frames[0].is_published():
-            self._frames.popleft()
-        if len(self._frames) >= MOST_FRAMES:
+        if len(self._out_packet) >= MOST_FRAMES:
             return False
-        info = self.publish(topic, payload)
-        if info.rc == MQTTErrorCode.MQTT_ERR_SUCCESS:
-            self._frames.append(info)
+        self.publish(topic, payload)
         return True
 
     def _create_socket_connection(self) -> socket.socket:

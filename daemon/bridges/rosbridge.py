@@ -8,7 +8,6 @@ from contextlib import suppress
 from typing import Any
 
 import msgspec
-from websockets.client import ClientProtocol
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
@@ -51,7 +50,8 @@ class RosbridgeBridge(Bridge):
         url, limit = self._settings.url, self.limit
         try:
             line = hosts.connect(*self._settings.address, CONNECT_S, self._ending)
-            with connect(url, sock=line, create_connection=_limited(limit), **CONNECTION) as connection:
+            with connect(url, sock=line, **CONNECTION) as connection:
+                _limit(connection, limit)
                 connection.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, UNTAKEN_MS)
                 self._connection = connection
                 for name, kind in (("gesture", STRING), ("event", STRING), ("pressure", IMAGE)):
@@ -127,21 +127,15 @@ class _Status(msgspec.Struct, tag_field="op", tag="status"):
     msg: Any = ""
 
 
-def _limited(limit: PeerLimit) -> type[ClientConnection]:
-    """Return a connection class that shuts its socket down once the server has sent too much."""
+def _limit(connection: ClientConnection, limit: PeerLimit) -> None:
+    """Shut a connection down once the server has sent too much, before websockets keeps that."""
+    receive = connection.protocol.receive_data
 
-    class Limited(ClientConnection):
-        def __init__(self, line: socket.socket, protocol: ClientProtocol, **options: Any) -> None:
-            receive = protocol.receive_data
+    def limited(data: bytes | bytearray) -> None:
+        if limit.take(len(data)):
+            receive(data)
+        else:
+            with suppress(OSError):
+                connection.socket.shutdown(socket.SHUT_RDWR)
 
-            def limited(data: bytes | bytearray) -> None:
-                if limit.take(len(data)):
-                    receive(data)
-                else:
-                    with suppress(OSError):
-                        line.shutdown(socket.SHUT_RDWR)
-
-            protocol.receive_data = limited  # type: ignore[method-assign]
-            super().__init__(line, protocol, **options)
-
-    return Limited
+    connection.protocol.receive_data = limited  # type: ignore[method-assign]
