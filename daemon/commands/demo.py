@@ -38,7 +38,7 @@ from touchd.drivers.robot.session import RobotSettings
 from touchd.model.classifier import Classifier
 
 if typing.TYPE_CHECKING:
-    from touchd.daemon.playback.touched import TouchPage
+    from touchd.daemon.live.touch import TouchPage
 
 # The recording lasts 37 s; the demo ends within a minute even if something fails.
 LONGEST_S = 50.0
@@ -128,7 +128,7 @@ def _be_touched(address: str, settings: Settings) -> int:
     """Run until Ctrl-C with a page on which viewers touch the simulated pad; returns 0."""
     # Imported only with --live, since these modules need its library.
     from touchd.daemon.live.memory import Scene
-    from touchd.daemon.playback.touched import TouchPage
+    from touchd.daemon.live.touch import TouchPage
 
     live = parse_address(address, None)
     with_robot = msgspec.structs.replace(settings, robot=RobotSettings(url="tcp://localhost:9559"))

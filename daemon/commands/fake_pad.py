@@ -65,7 +65,7 @@ def main(arguments: Sequence[str]) -> int:
         if options.live is not None:
             # Imported only with --live, since these modules need its library.
             from touchd.daemon.live.memory import Scene
-            from touchd.daemon.playback.touched import TouchPage
+            from touchd.daemon.live.touch import TouchPage
 
             live = parse_address(options.live, None)
             listening = closing.enter_context(listen(live))

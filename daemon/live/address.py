@@ -48,26 +48,20 @@ def listen(settings: LiveSettings) -> socket.socket:
     """
     host, port = settings.host, settings.port
     try:
-        listening = _listen_at(host, port)
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        # A name may have an IPv6 address alone, as localhost on some computers.
+        family, *_, address = min(found, key=lambda entry: entry[0] != socket.AF_INET)
+        takes_both = host == "::" and socket.has_dualstack_ipv6()
+        listening = socket.create_server(address[:2], family=family, dualstack_ipv6=takes_both)
     except OSError as error:
-        if not (error.errno == errno.EADDRNOTAVAIL or isinstance(error, socket.gaierror)) or _is_number(host):
+        is_elsewhere = error.errno == errno.EADDRNOTAVAIL or isinstance(error, socket.gaierror)
+        if not is_elsewhere or _is_number(host):
             raise _cannot_listen(host, port, error) from error
         log.warning("live page: %s is no name of this computer; serving at all of its addresses", host)
-        try:
-            listening = _listen_at("0.0.0.0", port)
-        except OSError as other:
-            raise _cannot_listen("0.0.0.0", port, other) from other
+        return listen(msgspec.structs.replace(settings, host="0.0.0.0"))
     # Inherited by every connection.
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
     return listening
-
-
-def _listen_at(host: str, port: int) -> socket.socket:
-    found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-    # A name may have an IPv6 address alone, as localhost on some computers.
-    family, *_, address = min(found, key=lambda entry: entry[0] != socket.AF_INET)
-    takes_both = host == "::" and socket.has_dualstack_ipv6()
-    return socket.create_server(address[:2], family=family, dualstack_ipv6=takes_both)
 
 
 def _cannot_listen(host: str, port: int, error: OSError) -> LiveError:

@@ -1,7 +1,7 @@
 """The state of the live page, for viewers who connect later."""
 
 from collections import deque
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -22,6 +22,7 @@ from touchd.daemon.path.events import (
 from touchd.daemon.robot.words import SHIPPED, Vocabulary, name_of, words_of
 from touchd.daemon.sinks.touches import ReportedTouch
 from touchd.drivers.frame import CLOCK_MODULUS, FRAME_RATE_HZ, NO_TOUCH, Frame
+from touchd.model.classifier import Classifier
 
 TOUCHES = 40
 PREDICTIONS = 24
@@ -36,20 +37,11 @@ REST_MS, ONSET_MS = 1000, 100
 NOISE_COUNTS = 3.0
 
 
-class Model(Protocol):
-    """The properties of a model that the page shows."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def labels(self) -> tuple[str, ...]: ...
-
-
 class Scene(NamedTuple):
     """The scene of a pad's page. settings: those of this pad alone. model: None if nothing is recognised."""
 
     settings: Settings
-    model: Model | None
+    model: Classifier | None
 
 
 class PageState(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="state"):

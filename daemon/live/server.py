@@ -21,10 +21,9 @@ from websockets.frames import CloseCode
 
 from touchd.daemon.app.config import LiveSettings, Settings
 from touchd.daemon.live.address import listen, own_names, urls_of
-from touchd.daemon.live.door import Door
 from touchd.daemon.live.memory import Memory, Scene
 from touchd.daemon.live.page import Page
-from touchd.daemon.live.viewers import Viewers
+from touchd.daemon.live.viewers import Door, Viewers
 from touchd.daemon.path.events import Event, LivePrediction, RobotEvent, TouchBegan
 from touchd.drivers.frame import DEFAULT_PAD, Frame
 from touchd.drivers.queue import DroppingQueue

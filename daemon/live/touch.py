@@ -1,24 +1,34 @@
-"""Messages from viewers of a page that can be touched: where their pointers press the pad.
+"""A page of a simulated pad that its viewers touch: of `touchd demo` and `touchd fake-pad` alone."""
 
-Only `touchd demo` and `touchd fake-pad` serve such a page. Messages are bounded in size, number and values.
-"""
-
+import json
 import math
+import re
+import socket
 import threading
 import time
 from collections.abc import Hashable
+from contextlib import suppress
+from pathlib import Path
 from typing import Annotated, NamedTuple
 
 import msgspec
+from websockets.exceptions import WebSocketException
+from websockets.sync.client import connect
 
+from touchd.daemon.app.config import LiveSettings
+from touchd.daemon.live.memory import Scene
+from touchd.daemon.live.server import LiveServer
+from touchd.daemon.path.events import Event, LivePrediction
 from touchd.drivers.fakes.pointers import Pointer, Size
-from touchd.drivers.frame import COLUMNS, ROWS
+from touchd.drivers.frame import COLUMNS, DEFAULT_PAD, ROWS, Counts, Frame
 
 MOST_POINTERS = 10
-# A page sends at most one message for each picture that it draws.
-MESSAGES_PER_S = 90.0
 # A page sends at least ten messages a second while it presses; after this long without one, it has let go.
 LIFTED_AFTER_S = 1.5
+RETRY_S = 0.2
+STOP_S = 1.0
+# The line that a daemon with a page logs.
+SERVED = re.compile(r"live page: http://(\S+)/")
 
 Share = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 PointerId = Annotated[int, msgspec.Meta(ge=0, lt=2**32)]
@@ -44,7 +54,7 @@ _decode = msgspec.json.Decoder(_Touch).decode
 
 
 class Touching:
-    """The pointers of all viewers. Thread-safe.
+    """The pointers of all viewers, from messages that are bounded in size and values. Thread-safe.
 
     near_s: when one was last at the pad, pressing or about to.
     """
@@ -55,16 +65,10 @@ class Touching:
         self.near_s = -math.inf
         self._lock = threading.Lock()
         self._pressing: dict[Hashable, tuple[float, dict[Hashable, Pointer]]] = {}
-        self._allowance: dict[Hashable, tuple[float, float]] = {}
 
     def take(self, viewer: Hashable, message: str | bytes) -> str:
         """Update a viewer's pointers from its message; returns why the message is refused, or ""."""
         now_s = time.monotonic()
-        last_s, left = self._allowance.get(viewer, (now_s, MESSAGES_PER_S))
-        left = min(MESSAGES_PER_S, left + (now_s - last_s) * MESSAGES_PER_S) - 1.0
-        if left < 0.0:
-            return "too many messages"
-        self._allowance[viewer] = now_s, left
         try:
             touch = _decode(message)
         except (msgspec.DecodeError, UnicodeDecodeError):
@@ -84,7 +88,6 @@ class Touching:
         """Lift everything that a viewer presses."""
         with self._lock:
             self._pressing.pop(viewer, None)
-        self._allowance.pop(viewer, None)
 
     def pointers(self) -> dict[Hashable, Pointer]:
         """Return the pointers that press now, by identity."""
@@ -92,3 +95,45 @@ class Touching:
         with self._lock:
             fresh = [pressed for at_s, pressed in self._pressing.values() if at_s >= oldest_s]
         return {key: pointer for pressed in fresh for key, pointer in pressed.items()}
+
+
+class TouchPage:
+    """The page of a simulated pad, served by this process.
+
+    listening: the socket to serve. pad: the pad's scene; without a model the page shows the pad alone.
+    """
+
+    def __init__(self, listening: socket.socket, settings: LiveSettings, pad: Scene) -> None:
+        self.touching = Touching()
+        self._server = LiveServer(listening, settings, {DEFAULT_PAD: pad}, self.touching)
+        self._stopping = threading.Event()
+
+    def start(self) -> None:
+        self._server.start()
+
+    def stop(self) -> None:
+        self._stopping.set()
+        self._server.stop(STOP_S)
+
+    def put(self, event: Event) -> None:
+        self._server.put(event)
+
+    def show_frame(self, counts: Counts, sensor_ms: int) -> None:
+        self._server.put_frame(Frame(sensor_ms, time.monotonic(), counts), 0)
+
+    def follow(self, log: Path) -> None:
+        """Show the live predictions of a daemon with its own page, whose address is in its log."""
+        threading.Thread(target=self._relay, args=(log,), name="touchd-relay", daemon=True).start()
+
+    def _relay(self, log: Path) -> None:
+        while not self._stopping.wait(RETRY_S):
+            with suppress(OSError, WebSocketException):
+                served = SERVED.search(log.read_text(errors="replace"))
+                if served is None:
+                    continue
+                with connect(f"ws://{served[1]}/stream", compression=None) as viewer:
+                    for message in viewer:
+                        if self._stopping.is_set():
+                            return
+                        if isinstance(message, str) and json.loads(message)["type"] == "live_prediction":
+                            self._server.put(msgspec.json.decode(message, type=LivePrediction))

@@ -5,8 +5,6 @@ const ALONE_MS = 20_000;
 // Pointers that are held still are sent again, so that touchd knows that they still press.
 const AGAIN_MS = 100;
 const MOST_POINTERS = 10;
-// Without this limit, a screen of 120 pictures a second would send more than touchd accepts.
-const LEAST_MS = 15;
 
 export class Touch {
   #square;
@@ -15,7 +13,6 @@ export class Touch {
   #pointers = new Map();
   #isDue = false;
   #again = 0;
-  #toldAt = 0;
   #alone = 0;
   #isTouchable = false;
   #size;
@@ -74,20 +71,11 @@ export class Touch {
   #soon() {
     if (this.#isDue) return;
     this.#isDue = true;
-    this.#whenDrawn();
-  }
-
-  #whenDrawn() {
-    requestAnimationFrame(() => {
-      if (!this.#isDue) return;
-      if (performance.now() - this.#toldAt < LEAST_MS) this.#whenDrawn();
-      else this.#tell();
-    });
+    requestAnimationFrame(() => this.#isDue && this.#tell());
   }
 
   #tell() {
     this.#isDue = false;
-    this.#toldAt = performance.now();
     clearTimeout(this.#again);
     const { left, top, width, height } = this.#square.getBoundingClientRect();
     const at = [];
