@@ -87,7 +87,7 @@ class Features:
 
     recordings: Sequence[Recording]
     shown: CropFeatures
-    windows: Mapping[int, WindowFeatures]
+    windows: dict[int, WindowFeatures]
     ended: WindowFeatures
 
 
@@ -127,21 +127,14 @@ def adapt(
     *heads, head = [learnt(chosen) for chosen in bar]
     is_new = [label in new for label in labels]
     turns = list(zip(heads, planned.folds, strict=True))
-    answers = {length: _answers(begin, is_new, turns, material.windows[length]) for length in LENGTHS}
-    in_passing = _answers(begin, is_new, turns, material.ended)
-    return Adapted(
-        known=known,
-        labels=labels,
-        recordings=tuple(material.recordings),
-        head=head,
-        temperatures={
-            length: _temperature(
-                answers[length], material.recordings, labels, pretrained.temperatures[length]
-            )
-            for length in LENGTHS
-        },
-        comparison=compare(answers, material.recordings, labels, known, planned.left_out, in_passing),
-    )
+    cut = material.windows | {0: material.ended}
+    answers = {length: _answers(begin, is_new, turns, own) for length, own in cut.items()}
+    temperatures = {
+        length: _temperature(answers[length], material.recordings, labels, pretrained.temperatures[length])
+        for length in LENGTHS
+    }
+    comparison = compare(answers, material.recordings, labels, known, planned.left_out)
+    return Adapted(known, labels, tuple(material.recordings), head, temperatures, comparison)
 
 
 def _answers(

@@ -28,7 +28,6 @@ from touchd.model.classifier import LONGEST_LABEL, MOST_LABELS, as_known
 SHORTEST_FRAMES = 54
 # Ten hours at 54 Hz, a quarter of a gigabyte.
 MOST_FRAMES = 2_000_000
-MOST_GESTURES = MOST_LABELS
 GESTURE = re.compile(rf"[A-Za-z0-9][A-Za-z0-9_-]{{0,{LONGEST_LABEL - 1}}}")
 # Reserved: events use it in place of a gesture.
 RESERVED = "uncertain"
@@ -48,11 +47,6 @@ class Read(NamedTuple):
     passed_over: Mapping[str, int]
 
 
-def read_folder(folder: Path, known: Sequence[str], keep_all: bool = False) -> list[Recording]:
-    """Return the recordings of a folder: see `read_all`."""
-    return read_all(folder, known, keep_all).recordings
-
-
 def read_all(
     folder: Path, known: Sequence[str], keep_all: bool = False, labels: Mapping[str, str] = NO_LABELS
 ) -> Read:
@@ -64,12 +58,11 @@ def read_all(
     saved touches, by file name. Raises ExtraError.
     """
     recordings: list[Recording] = []
-    first_of: dict[bytes, Path] = {}
-    frames = 0
     passed_over: Counter[str] = Counter()
     files = files_of(folder)
     if not files:
         raise ExtraError(f"{folder}: holds no recordings; make some with `touchd record {folder}`")
+    first_of: dict[bytes, Path] = {}
     for path in files:
         parts = _labelled([realign(part) for part in read_file(path)], labels.get(path.name, UNLABELLED))
         if any(part.gesture == UNLABELLED for part in parts):
@@ -78,16 +71,10 @@ def read_all(
         found = joined(parts)
         passed_over[CUT_SHORT] += not found
         for recording in found:
-            frames += len(recording.counts)
-            if frames > MOST_FRAMES:
-                raise ExtraError(f"{folder}: more than {MOST_FRAMES} frames; name a folder with fewer")
-            _check(path, recording)
-            # A duplicate could be on both sides of a fold.
-            digest = hashlib.sha256(recording.counts.tobytes()).digest()
-            if digest in first_of:
-                raise ExtraError(f"{path}: the same recording as in {first_of[digest]}; delete one of them")
-            first_of[digest] = path
-            recordings.append(recording)
+            _check(path, recording, first_of)
+        recordings += found
+        if sum(len(each.counts) for each in recordings) > MOST_FRAMES:
+            raise ExtraError(f"{folder}: more than {MOST_FRAMES} frames; name a folder with fewer")
     if not recordings and passed_over[NO_LABEL]:
         raise ExtraError(
             f"{folder}: nobody has said what its touches were, or the journal that says it is not beside the "
@@ -171,7 +158,8 @@ def trouble_with(gestures: Collection[str], known: Collection[str] = ()) -> str:
     return ""
 
 
-def _check(path: Path, recording: Recording) -> None:
+def _check(path: Path, recording: Recording, first_of: dict[bytes, Path]) -> None:
+    """Raise ExtraError if a recording cannot be used. first_of: files so far, by digest of their counts."""
     gesture = recording.gesture
     if why := trouble_with({gesture}):
         raise ExtraError(f"{path}: {why}")
@@ -182,6 +170,11 @@ def _check(path: Path, recording: Recording) -> None:
             f"{path}: {len(recording.counts) / FRAME_RATE_HZ:.2f} s of {gesture} without a gap, and at least "
             f"{SHORTEST_FRAMES / FRAME_RATE_HZ:g} s is needed; record it again, or delete the file"
         )
+    # A duplicate could be on both sides of a fold.
+    digest = hashlib.sha256(recording.counts.tobytes()).digest()
+    if digest in first_of:
+        raise ExtraError(f"{path}: the same recording as in {first_of[digest]}; delete one of them")
+    first_of[digest] = path
 
 
 def _check_gestures(folder: Path, gestures: set[str], known: Sequence[str], keep_all: bool) -> None:
@@ -194,5 +187,5 @@ def _check_gestures(folder: Path, gestures: set[str], known: Sequence[str], keep
             f"{folder}: nothing but {', '.join(gestures)}; telling apart takes two, so record {NO_TOUCH} too"
         )
     labels = gestures.union(known if keep_all else (), {NO_TOUCH})
-    if len(labels) > MOST_GESTURES:
-        raise ExtraError(f"{folder}: {len(labels)} gestures; at most {MOST_GESTURES} can be told apart")
+    if len(labels) > MOST_LABELS:
+        raise ExtraError(f"{folder}: {len(labels)} gestures; at most {MOST_LABELS} can be told apart")

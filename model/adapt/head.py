@@ -68,41 +68,49 @@ def fit(
     """
     head = copy.deepcopy(start).train()
     is_new = torch.tensor([label in new for label in labels])
-    penalties = _each(start, settings.l2_sp, 0.0, is_new)
     before = [weight.detach().clone() for weight in start.parameters()]
+    penalties = _each(start, settings.l2_sp, 0.0, is_new)
     rng = torch.Generator().manual_seed(settings.seed)
     optimizer = torch.optim.AdamW(head.parameters(), weight_decay=0.0)
     from_rehearsed = int(settings.batch * settings.rehearsed)
+    counts = settings.batch - from_rehearsed, from_rehearsed
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(settings.seed)
         for step in range(settings.steps):
-            parts = (
-                _draw(shown, labels, settings.batch - from_rehearsed, rng),
-                _draw(rehearsed, labels, from_rehearsed, rng),
-            )
-            values, targets, within = (torch.cat(part) for part in zip(*parts, strict=True))
-            losses = functional.cross_entropy(
-                head(values).flatten(0, 1),
-                targets.repeat_interleave(values.shape[1]),
-                label_smoothing=settings.label_smoothing,
-                reduction="none",
-            )
+            sources = zip((shown, rehearsed), counts, strict=True)
+            parts = [_draw(crops, labels, count, rng) for crops, count in sources]
             distances = [
                 (penalty * (weight - pretrained).square()).sum()
                 for penalty, weight, pretrained in zip(penalties, head.parameters(), before, strict=True)
             ]
-            loss = losses[within.flatten()].mean() + torch.stack(distances).sum() / len(shown.gestures)
-            for group in optimizer.param_groups:
-                group["lr"] = learning_rate_at(step, settings.steps, settings.learning_rate)
-            optimizer.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]
-            torch.nn.utils.clip_grad_norm_(head.parameters(), GRADIENT_LIMIT)
-            optimizer.step()
+            loss = _loss(head, parts, settings) + torch.stack(distances).sum() / len(shown.gestures)
+            _descend(loss, optimizer, learning_rate_at(step, settings.steps, settings.learning_rate))
     head.eval().requires_grad_(False)
     shares = _each(start, settings.blend, 1.0, is_new)
     for weight, pretrained, part in zip(head.parameters(), before, shares, strict=True):
         weight.copy_(torch.lerp(pretrained, weight, part))
     return head
+
+
+def _descend(loss: Tensor, optimizer: torch.optim.Optimizer, learning_rate: float) -> None:
+    (group,) = optimizer.param_groups
+    group["lr"] = learning_rate
+    optimizer.zero_grad()
+    loss.backward()  # type: ignore[no-untyped-call]
+    torch.nn.utils.clip_grad_norm_(group["params"], GRADIENT_LIMIT)
+    optimizer.step()
+
+
+def _loss(head: nn.Sequential, parts: Sequence[tuple[Tensor, ...]], settings: AdaptSettings) -> Tensor:
+    """Return the mean cross entropy of drawn crops at the lengths that their recordings have."""
+    values, targets, within = (torch.cat(part) for part in zip(*parts, strict=True))
+    losses = functional.cross_entropy(
+        head(values).flatten(0, 1),
+        targets.repeat_interleave(values.shape[1]),
+        label_smoothing=settings.label_smoothing,
+        reduction="none",
+    )
+    return losses[within.flatten()].mean()
 
 
 def _each(head: nn.Sequential, value: float, of_new: float, is_new: Tensor) -> list[Tensor]:

@@ -1,9 +1,8 @@
 """Accuracy on held-out recordings before and after adapting, with confidence intervals."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -33,16 +32,11 @@ class Answers:
 
 
 class GestureFigures(msgspec.Struct, frozen=True, kw_only=True):
-    """Accuracy for one gesture on held-out windows of one length.
-
-    before: None if the shipped model lacks the gesture. interval: of `after`, 95 % Wilson; a recording counts
-    as one trial.
-    """
+    """Accuracy for one gesture on held-out windows. before: None if the shipped model lacks the gesture."""
 
     recordings: int
     before: float | None
     after: float
-    interval: tuple[float, float]
 
 
 class LengthFigures(msgspec.Struct, frozen=True, kw_only=True):
@@ -60,11 +54,6 @@ class LengthFigures(msgspec.Struct, frozen=True, kw_only=True):
     after: float | None
     interval: tuple[float, float] | None
     all_after: float
-
-    @property
-    def difference(self) -> float | None:
-        """Gain over the gestures that the shipped model has."""
-        return None if self.before is None or self.after is None else self.after - self.before
 
 
 class Comparison(msgspec.Struct, frozen=True, kw_only=True):
@@ -85,27 +74,22 @@ def compare(
     labels: Sequence[str],
     known: Sequence[str],
     left_out: LeftOut,
-    in_passing: Answers | None = None,
 ) -> Comparison:
-    """Return the figures for held-out answers at each length, and to ended touches in passing.
+    """Return the figures for held-out answers at each length, 0 for ended touches in passing.
 
     labels: of the logits. known: those of the shipped model.
     """
-    evaluated = {int(i) for length in answers.values() for i in length.recordings}
-    if in_passing is not None:
-        evaluated |= {int(i) for i in in_passing.recordings}
-    lengths = [
-        _at_length(frames, own, recordings, labels, known, left_out)
-        for frames in LENGTHS
-        if (own := answers.get(frames)) is not None and len(own.recordings)
-    ]
+    found = {
+        frames: _at_length(frames, own, recordings, labels, known, left_out)
+        for frames, own in answers.items()
+        if len(own.recordings)
+    }
+    evaluated = {int(i) for own in answers.values() for i in own.recordings}
     return Comparison(
         left_out=left_out,
         participants=len({recordings[i].participant for i in evaluated}),
-        lengths=lengths,
-        in_passing=_at_length(0, in_passing, recordings, labels, known, left_out)
-        if in_passing is not None and len(in_passing.recordings)
-        else None,
+        lengths=[found[frames] for frames in LENGTHS if frames in found],
+        in_passing=found.get(0),
     )
 
 
@@ -117,51 +101,56 @@ def _at_length(
     known: Sequence[str],
     left_out: LeftOut,
 ) -> LengthFigures:
-    truth = np.array([labels.index(recordings[i].gesture) for i in answers.recordings])
-    evaluated = np.unique(answers.recordings)
-    before = _shares(answers.before.argmax(axis=1) == truth, answers.recordings, evaluated)
-    after = _shares(answers.after.argmax(axis=1) == truth, answers.recordings, evaluated)
+    owners, evaluated = answers.recordings, np.unique(answers.recordings)
+    truth = np.array([labels.index(recordings[i].gesture) for i in owners])
+    before, after = (
+        np.array([(logits.argmax(axis=1) == truth)[owners == each].mean() for each in evaluated])
+        for logits in (answers.before, answers.after)
+    )
     gesture = np.array([recordings[i].gesture for i in evaluated])
-    participant = np.array([recordings[i].participant for i in evaluated])
-    everything = np.ones(len(evaluated), dtype=bool)
-    in_both = np.isin(gesture, known)
+    person = np.array([recordings[i].participant for i in evaluated])
+    group = person if left_out == "participants" else np.zeros(len(evaluated))
+    in_both, everything = np.isin(gesture, known), np.ones(len(evaluated), dtype=bool)
 
-    def strata(shares: Floats, chosen: NDArray[np.bool_]) -> list[Floats]:
-        per_gesture = _by(gesture[chosen], shares[chosen])
-        if left_out != "participants":
-            return per_gesture
-        people = _by(participant[chosen], np.flatnonzero(chosen))
-        return [np.array([_mean(_by(gesture[own], shares[own])) for own in people])]
+    def macro(shares: Floats, chosen: NDArray[np.bool_]) -> Floats:
+        """Return the mean over gestures, of each person if people are held out, else of all."""
+        return np.array(
+            [_macro(gesture, shares, chosen & (group == each)) for each in np.unique(group[chosen])]
+        )
 
+    interval = None
+    if in_both.any():
+        gains = after - before
+        by_people = left_out == "participants"
+        interval = mean_interval(macro(gains, in_both)) if by_people else paired_interval(gains[in_both])
     return LengthFigures(
         frames=frames,
-        gestures={
-            name: GestureFigures(
-                recordings=len(own),
-                before=float(before[gesture == name].mean()) if name in known else None,
-                after=float(own.mean()),
-                interval=wilson_interval(float(own.sum()), len(own)),
-            )
-            for name in labels
-            if len(own := after[gesture == name])
-        },
-        before=_mean(strata(before, in_both)) if in_both.any() else None,
-        after=_mean(strata(after, in_both)) if in_both.any() else None,
-        interval=_interval(after - before, strata, in_both, left_out) if in_both.any() else None,
-        all_after=_mean(strata(after, everything)),
+        gestures=_by_gesture(labels, known, gesture, before, after),
+        before=float(macro(before, in_both).mean()) if in_both.any() else None,
+        after=float(macro(after, in_both).mean()) if in_both.any() else None,
+        interval=interval,
+        all_after=float(macro(after, everything).mean()),
     )
 
 
-def _interval(
-    gains: Floats,
-    strata: Callable[[Floats, NDArray[np.bool_]], Sequence[Floats]],
-    chosen: NDArray[np.bool_],
-    left_out: LeftOut,
-) -> tuple[float, float] | None:
-    """Return the 95 % interval of a difference: over people, or over the recordings of one."""
-    if left_out == "participants":
-        return mean_interval(strata(gains, chosen))
-    return paired_interval(gains[chosen])
+def _by_gesture(
+    labels: Sequence[str], known: Sequence[str], gesture: NDArray[np.str_], before: Floats, after: Floats
+) -> dict[str, GestureFigures]:
+    """Return the figures of each label that a recording has."""
+    return {
+        name: GestureFigures(
+            recordings=int(own.sum()),
+            before=float(before[own].mean()) if name in known else None,
+            after=float(after[own].mean()),
+        )
+        for name in labels
+        if (own := gesture == name).any()
+    }
+
+
+def _macro(gesture: NDArray[np.str_], shares: Floats, chosen: NDArray[np.bool_]) -> float:
+    """Return the mean over gestures of the chosen recordings' shares."""
+    return float(np.mean([shares[chosen & (gesture == name)].mean() for name in np.unique(gesture[chosen])]))
 
 
 def paired_interval(gains: Floats) -> tuple[float, float]:
@@ -182,43 +171,14 @@ def cross_entropy(logits: Floats, labels: NDArray[np.int64]) -> float:
     return float(-log_softmax(logits, axis=1)[np.arange(len(labels)), labels].mean())
 
 
-def mean_interval(strata: Sequence[Floats]) -> tuple[float, float] | None:
-    """Return the 95 % t interval of the mean of the strata's means; None if it cannot be told.
+def mean_interval(values: Floats) -> tuple[float, float] | None:
+    """Return the 95 % t interval of a mean; None if it cannot be told.
 
     Unlike a bootstrap, it is wide enough with two or three values.
     """
-    freedom = sum(len(stratum) - 1 for stratum in strata)
-    if freedom < 1:
-        return None
-    pooled = sum(((stratum - stratum.mean()) ** 2).sum() for stratum in strata) / freedom
     # People who happen to change equally do not prove that everybody does.
-    if pooled == 0.0:
+    if len(values) < 2 or values.std() == 0.0:
         return None
-    error = math.sqrt(pooled * sum(1.0 / len(stratum) for stratum in strata)) / len(strata)
-    middle = _mean(strata)
-    reach = float(stdtrit(freedom, UPPER)) * error
+    middle = float(values.mean())
+    reach = float(stdtrit(len(values) - 1, UPPER) * values.std(ddof=1) / math.sqrt(len(values)))
     return middle - reach, middle + reach
-
-
-def wilson_interval(right: float, trials: int) -> tuple[float, float]:
-    """Return the 95 % interval of a share (Wilson 1927); `right` may be fractional."""
-    z = 1.96
-    share = right / trials
-    middle = (share + z * z / (2 * trials)) / (1 + z * z / trials)
-    spread = math.sqrt(share * (1 - share) / trials + z * z / (4 * trials * trials))
-    reach = z * spread / (1 + z * z / trials)
-    return max(0.0, middle - reach), min(1.0, middle + reach)
-
-
-def _shares(right: NDArray[np.bool_], owners: NDArray[np.int64], evaluated: NDArray[np.int64]) -> Floats:
-    """Return the accuracy on each evaluated recording's windows."""
-    return np.array([right[owners == recording].mean() for recording in evaluated], dtype=np.float64)
-
-
-def _by(names: NDArray[np.str_], values: NDArray[np.generic]) -> list[Any]:
-    """Return the values of each name."""
-    return [values[names == name] for name in np.unique(names)]
-
-
-def _mean(strata: Sequence[Floats]) -> float:
-    return float(np.mean([stratum.mean() for stratum in strata]))

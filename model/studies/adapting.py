@@ -172,7 +172,7 @@ def tables(measured: Measured) -> dict[str, str]:
     for group, letter in (("third study", "S"), ("second study", "R"), ("HAART", "P")):
         for each in SHOTS:
             cell = [t for t in measured.trials if t.participant.startswith(letter) and t.each == each]
-            interval = mean_interval([_by_person(cell, lambda t: t.after - t.before)])
+            interval = mean_interval(_by_person(cell, lambda t: t.after - t.before))
             assert interval is not None
             before, after, error = (
                 _by_person(cell, attrgetter(name)).mean() for name in ("before", "after", "error")

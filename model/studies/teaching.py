@@ -226,7 +226,7 @@ def summary(measured: Sequence[Taught]) -> list[tuple[object, ...]]:
             )
 
         for how in (BEFORE, LONG, SINGLE, LABELLED):
-            interval = mean_interval([(mean(how, "mix") - mean(BEFORE, "mix")) / 100.0])
+            interval = mean_interval((mean(how, "mix") - mean(BEFORE, "mix")) / 100.0)
             change = "" if interval is None else f"{100 * interval[0]:+.1f} to {100 * interval[1]:+.1f}"
             found.append(
                 (
