@@ -1,8 +1,8 @@
-"""The paper's tables 2 and 3, its network trained as in its code: `python -m touchd.model.studies paper`.
+"""The paper's table 3, its network trained as in its code: `python -m touchd.model.studies paper`.
 
 Adam, batches of 64, a constant rate (github.com/Yuanbo2020/TGC, processing.py and 1_run_frames.py). That code
-keeps the epoch that scores best on the test participants. Here every epoch's test accuracy is stored, so one
-training gives that figure and the unbiased one, of the last epoch of a number fixed beforehand.
+keeps the epoch that scores best on the test participants. The page shows the last epoch of a number fixed
+beforehand, which is unbiased; every epoch's test accuracy is stored.
 """
 
 import re
@@ -28,7 +28,7 @@ from touchd.model.studies.checks.evaluate import REPORTED_LENGTHS
 from touchd.model.studies.folders import study_parser
 from touchd.model.studies.marked import fill, table
 from touchd.model.studies.paper_network import PaperSettings, PaperTGC, Variant
-from touchd.model.studies.published import TABLE2, TABLE3
+from touchd.model.studies.published import TABLE3
 from touchd.model.studies.results import STORED, Results, percent
 from touchd.model.training import haart, metrics
 from touchd.model.training.checkpoint import CheckpointError
@@ -38,7 +38,6 @@ from touchd.model.training.weights import touchd_1_files
 
 FILE = STORED / "paper.json"
 CHECKPOINT_NAME = "checkpoint.pt"
-TABLE2_FRAMES = 144
 PAPER_EPOCHS = 100
 LEARNING_RATE = 1e-4
 BATCH = 64
@@ -147,7 +146,7 @@ class PaperTraining:
 
 def main(arguments: Sequence[str]) -> int:
     """Train the networks asked for, then fill the tables from all stored results; returns 0."""
-    what = "Trains the paper's network with --train; fills its tables in report.md from the stored results."
+    what = "Trains the paper's network with --train; fills its table in report.md from the stored results."
     parser = study_parser("paper", what, "haart", "docs")
     parser.add_argument("--train", choices=("public", "printed"), help="the variant to train")
     several: dict[str, Any] = {"type": int, "nargs": "+", "metavar": "N"}
@@ -243,7 +242,7 @@ def trained(results: Results) -> list[PaperCell]:
 
 
 def tables(results: Results) -> dict[str, str]:
-    """Return tables 2 and 3, each with the network closest to the paper's that was trained here."""
+    """Return table 3, each row with the network closest to the paper's that was trained here."""
     cells = trained(results)
     by_length = [
         (
@@ -254,37 +253,20 @@ def tables(results: Results) -> dict[str, str]:
         )
         for frames in REPORTED_LENGTHS
     ]
-    by_blocks = [
-        (
-            blocks,
-            printed,
-            *_row(results, [c for c in cells if (c.blocks, c.frames) == (blocks, TABLE2_FRAMES)]),
-        )
-        for blocks, printed in TABLE2.items()
-    ]
-    ours = ("touchd-1", "touchd-1, realigned")
-    return {
-        "table3": table(
-            ("frames", "printed", "blocks / epochs", "last epoch", "best epoch", *ours), by_length
-        ),
-        "table2": table(("blocks", "printed", "blocks / epochs", "last epoch", "best epoch"), by_blocks),
-    }
+    headings = ("frames", "printed", "blocks / epochs", "its code", "touchd-1", "touchd-1, realigned")
+    return {"table3": table(headings, by_length)}
 
 
 def _row(results: Results, cells: Sequence[PaperCell]) -> tuple[str, ...]:
-    """Return what was trained, and its accuracies after the last and the best epoch, over all its seeds."""
+    """Return what was trained, and its accuracy after the last epoch, over all its seeds."""
     public = [cell for cell in cells if cell.variant == "public"]
     if not public:
-        return "not trained", "", ""
+        return "not trained", ""
     blocks = max((cell.blocks for cell in public if cell.blocks <= 6), default=public[0].blocks)
     own = [cell for cell in public if cell.blocks == blocks]
     epochs = max(cell.epochs for cell in own)
     curves = [results.get(cell.key)["accuracies"] for cell in own if cell.epochs == epochs]
-    return (
-        f"{blocks} / {epochs}",
-        percent([curve[-1] for curve in curves]),
-        percent([max(curve) for curve in curves]),
-    )
+    return f"{blocks} / {epochs}", percent([curve[-1] for curve in curves])
 
 
 def _load(path: Path) -> Mapping[str, Any]:
