@@ -174,18 +174,16 @@ def tables(measured: Measured) -> dict[str, str]:
             cell = [t for t in measured.trials if t.participant.startswith(letter) and t.each == each]
             interval = mean_interval(_by_person(cell, lambda t: t.after - t.before))
             assert interval is not None
-            before, after, error = (
-                _by_person(cell, attrgetter(name)).mean() for name in ("before", "after", "error")
-            )
+            before, after = (_by_person(cell, attrgetter(name)).mean() for name in ("before", "after"))
             gains = [(trial.participant, trial.others) for trial in cell if trial.others is not None]
             others = np.mean(
                 [np.mean([gain for who, gain in gains if who == name]) for name in {*dict(gains)}]
             )
             gained = f"{100 * interval[0]:+.1f} to {100 * interval[1]:+.1f}"
             shown = (f"{100 * before:.1f}", f"**{100 * after:.1f}**", gained, f"{100 * others:+.1f}")
-            rows.append((group, each, *shown, f"{error:.3f}"))
-    headings = ("people", "a gesture", "before", "after", "95 % of the difference")
-    return {"summary": table((*headings, "others", "calibration error"), rows)}
+            rows.append((group, each, *shown))
+    headings = ("people", "a gesture", "before", "after", "95 % of the difference", "others")
+    return {"summary": table(headings, rows)}
 
 
 def _by_person(trials: Sequence[Trial], figure: Callable[[Trial], float]) -> Floats:
