@@ -21,15 +21,6 @@ def lines(numbers: Sequence[int]) -> bytes:
     return b"half a line\n" + b"".join(line(number) for number in numbers)
 
 
-def test_lines_without_a_clock_carry_their_arrival_time() -> None:
-    parser = FrameParser(msgspec.structs.replace(PRESETS["csv"], skip=0, clock="none"))
-    printed = encode_csv_line(counts_of(3), None).split(b",", 1)[1]
-    parser.feed(printed, 1.0)
-    (frame,) = parser.feed(printed, 2.5)
-    assert (frame.sensor_ms, frame.host_s) == (2500, 2.5)
-    np.testing.assert_array_equal(frame.pressure, counts_of(3))
-
-
 def test_the_line_that_a_reconnect_cut_is_not_used() -> None:
     parser = FrameParser(msgspec.structs.replace(PRESETS["csv"], skip=0, clock="none"))
     printed = encode_csv_line(counts_of(3), None).split(b",", 1)[1]

@@ -84,15 +84,6 @@ def test_a_looped_stream_continues_with_its_clock() -> None:
     np.testing.assert_array_equal(frames[5].pressure, frames[0].pressure)
 
 
-def test_nothing_is_sent_before_somebody_reads() -> None:
-    stream = stream_of(3)
-    with FakePort(stream, encode_fabric_grid, speed=100.0) as port:
-        assert not port.wait(0.1)
-        assert np.isnan(port.sent_s).all()
-        with opened(port) as reader:
-            assert reader.read(3 * SIZE) == encoded(stream)
-
-
 def test_flat_out_the_stream_waits_for_a_reader() -> None:
     stream = stream_of(600)
     parser = FabricGrid()
@@ -141,16 +132,6 @@ def test_it_stops_at_once_in_every_state_and_leaves_nothing() -> None:
             port.stop()
             assert not Path(port.path).exists()
         assert time.monotonic() - begun_s < AT_ONCE_S
-
-
-def test_a_clock_that_restarts_does_not_change_the_pace() -> None:
-    once = stream_of(20)
-    twice = Stream(np.concatenate([once.counts] * 2), np.concatenate([once.sensor_ms] * 2), once.spans)
-    with FakePort(twice, encode_fabric_grid, speed=2.0) as port, opened(port) as reader:
-        data = read_to_end(port, reader)
-    assert data == encoded(twice)
-    # Forty frames take 361 ms at twice the pace; with the second twenty in a burst, 170 ms less.
-    assert port.sent_s[-1] - port.sent_s[0] >= 0.355
 
 
 def test_a_system_without_pseudo_terminals_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -130,6 +130,7 @@ REFUSED: dict[str, tuple[Printed, str]] = {
     "rows to and fro in bytes": (lambda v, n: b"\xaa\x55" + sent(to_and_fro(v), "<u2"), "backwards"),
     "pads by turns": (lambda v, n: line(v) + line(v[::-1, ::-1]), "two pads"),
     "pads by turns, named": (lambda v, n: f"L,{line(v)}R,{line(v[::-1, ::-1])}", "two pads"),
+    "a clock inside": (lambda v, n: f"{line(v[:4], end=f',{20 * n},')}{line(v[4:])}", ""),
     "two pads": (lambda v, n: line(v, end=" | ") + line(v), "160 numbers a frame, which do not fit 8x10"),
     "raw and filtered": (lambda v, n: line(np.stack([v, v * 3 // 4], -1)), "160 numbers"),
     "changes": (lambda v, n: line(np.rint(90 * np.sin(n / 3) * v / 1023).astype(np.int_)), ""),

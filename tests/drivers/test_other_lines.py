@@ -13,9 +13,8 @@ from rigs.formats import CsvLines, FabricGrid, encode_csv_line, encode_fabric_gr
 from rigs.sensor_rig import assert_played, next_frames, next_state, sensing, stream_of
 from rigs.sockets import free_port
 
-from touchd.drivers.fakes.encode import encode_frame, values_of
 from touchd.drivers.frame import Frame
-from touchd.drivers.pad.format import PadFormat, layout_of
+from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import SensorError, check_port, open_port, read_waiting
 
@@ -154,23 +153,6 @@ def test_a_datagram_of_text_is_a_frame(line_end: str, lines: int) -> None:
     assert [frame.pressure.tolist() for frame in frames] == STREAM.counts[1:5].tolist()
 
 
-def test_a_datagram_without_a_header_is_a_frame() -> None:
-    described = PadFormat(cell="u8", rows=8, columns=8, full_scale=255)
-    parser = FrameParser(described)
-    with udp_pad() as (address, give), open_port(address, 9600) as opened:
-        frames = []
-        for counts in STREAM.counts[:5]:
-            give(b"hello")
-            give(encode_frame(described, counts, 0))
-            frames += [frame for _ in range(2) for frame in parser.feed(read_waiting(opened, parser), 0.0)]
-    layout = layout_of(described)
-    expected = [
-        layout.pressure(values_of(described, counts).ravel()).tolist() for counts in STREAM.counts[:5]
-    ]
-    assert [frame.pressure.tolist() for frame in frames] == expected
-    assert parser.counts.damaged == 5
-
-
 def test_a_pad_may_have_an_ipv6_address() -> None:
     try:
         listening = socket.create_server(("::1", 0), family=socket.AF_INET6)
@@ -207,11 +189,3 @@ def test_a_flooding_pad_is_read_more_slowly() -> None:
             used = Path(f"/proc/self/task/{reader.native_id}/stat").read_text().rpartition(")")[2].split()
     # User and system time, see proc(5); without a rest it takes half a second or more.
     assert int(used[11]) + int(used[12]) < 0.25 * os.sysconf("SC_CLK_TCK")
-
-
-def test_a_network_port_is_named_as_it_was_typed() -> None:
-    with socket.socket(socket.AF_INET6, socket.SOCK_DGRAM) as free:
-        free.bind(("::1", 0))
-        address = f"udp://[::1]:{free.getsockname()[1]}"
-    with open_port(address, 9600) as opened:
-        assert opened.port == address

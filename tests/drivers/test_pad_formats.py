@@ -225,14 +225,6 @@ def test_a_datagram_is_a_frame_or_is_refused() -> None:
     assert (parser.counts.damaged, parser.counts.bytes_dropped) == (2, 2 * len(whole))
 
 
-def test_no_frame_mixes_bytes_of_two() -> None:
-    described = PadFormat(header="aa55aa55", cell="u8", rows=8, columns=8, full_scale=255)
-    parser = FrameParser(described)
-    cut_off = encode_frame(described, counts_of(0), None)[:40]
-    assert_are(described, parser.feed(cut_off + stream(described, [1, 2]), 1.0), [1, 2])
-    assert parser.counts.bad == 1
-
-
 @pytest.mark.parametrize("cell", ["u8", "u12", "u16"])
 @pytest.mark.parametrize("kind", ["xor8", "none"])
 def test_cells_that_begin_with_a_short_header_lose_no_frame(cell: str, kind: str) -> None:
@@ -243,20 +235,6 @@ def test_cells_that_begin_with_a_short_header_lose_no_frame(cell: str, kind: str
     parser = FrameParser(described)
     assert len(feed(parser, b"".join(frames) + bytes.fromhex(described.header))) == len(frames)
     assert parser.counts.bad == 0
-
-
-def test_a_pad_without_a_clock_gets_an_even_one() -> None:
-    parser = FrameParser(PRESETS["m1616"])
-    rng = np.random.default_rng(0)
-    stamps = []
-    for number in range(600):
-        # A pad at 57 Hz whose frames are held back by up to 16 ms.
-        arrival_s = 10 + number / 57 + rng.uniform(0, 0.016)
-        stamps += [f.sensor_ms for f in parser.feed(sent(PRESETS["m1616"], number % 9), arrival_s)]
-    steps = np.diff(stamps[200:])
-    assert steps.mean() == pytest.approx(1000 / 57, abs=0.1)
-    assert steps.std() < 2.0
-    assert abs(stamps[-1] - 1000 * (10 + 599 / 57)) < 20
 
 
 def test_a_finer_grid_is_pooled_and_a_coarser_one_interpolated() -> None:

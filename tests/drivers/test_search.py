@@ -3,7 +3,6 @@
 import json
 import resource
 import time
-from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -271,48 +270,6 @@ def test_a_pad_that_nobody_presses_is_not_proposed(described: PadFormat) -> None
     finding = search(still, (described.rows, described.columns))
     assert finding.proposed is None
     assert "press" in finding.missing or "frames" in finding.missing
-
-
-def two(frames: Sequence[Chunk], others: Sequence[Chunk], between: bytes = b"") -> list[Chunk]:
-    return [
-        Chunk(one.data.strip() + between + other.data, one.host_s)
-        for one, other in zip(frames, others, strict=True)
-    ]
-
-
-def test_two_pads_in_one_line_are_not_one() -> None:
-    one = PadFormat(framing="text", rows=8, columns=8)
-    finding = search(two(chunks_of(one, 1), chunks_of(one, 2), b" | "), (8, 8))
-    assert finding.proposed is None
-    assert "128 numbers a frame, which do not fit 8x8 cells" in finding.missing
-
-
-def lines_of(described: PadFormat, seed: int) -> list[tuple[float, list[bytes]]]:
-    return [(each.host_s, each.data.strip().split(b",")) for each in chunks_of(described, seed)]
-
-
-def test_a_clock_among_the_cells_is_not_a_cell() -> None:
-    chunks = [
-        Chunk(b",".join([*cells[:32], b"%d" % round(1000 * at_s), *cells[32:]]) + b"\n", at_s)
-        for at_s, cells in lines_of(PadFormat(framing="text", rows=8, columns=8), 3)
-    ]
-    assert search(chunks, (8, 8)).proposed is None
-
-
-def test_rows_that_run_to_and_fro_are_not_a_grid() -> None:
-    chunks = []
-    for at_s, cells in lines_of(PadFormat(framing="text", rows=8, columns=8), 3)[1:]:
-        rows = [cells[8 * row : 8 * row + 8][:: -1 if row % 2 else 1] for row in range(8)]
-        chunks.append(Chunk(b",".join(cell for row in rows for cell in row) + b"\n", at_s))
-    finding = search(chunks, (8, 8))
-    assert finding.proposed is None
-    assert "backwards" in finding.missing
-
-
-def test_two_alternating_pads_are_not_one() -> None:
-    one = PadFormat(framing="text", rows=8, columns=8)
-    turns = two(chunks_of(one, 1), chunks_of(one, 2), b"\n")
-    assert search(turns, (8, 8)).proposed is None
 
 
 def test_values_that_only_grow_under_a_hand_set_the_range() -> None:

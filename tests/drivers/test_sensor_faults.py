@@ -79,25 +79,22 @@ def test_a_board_that_starts_late_is_not_called_another_pad(
     assert "no frame" not in caplog.text
 
 
-def test_a_long_silent_port_is_reopened() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        server.settimeout(WITHIN_S)
-        with (
-            sensing(f"tcp://127.0.0.1:{server.getsockname()[1]}", reopen_after_s=0.2),
-            server.accept()[0],
-            server.accept()[0],
-        ):
-            pass
-
-
-@pytest.mark.parametrize("sent", [noise, b"", b"no frame, but text\n"], ids=["noise", "silence", "text"])
-def test_a_port_long_without_frames_is_reopened(sent: Encode | bytes) -> None:
-    data = sent if isinstance(sent, bytes) else sent(stream_of(1).counts[0], 7)
+@pytest.mark.parametrize(
+    ("sent", "options"),
+    [
+        (b"", {"reopen_after_s": 0.2}),
+        (b"", {"silence_s": 0.1, "frameless_s": 0.3}),
+        (b"no frame, but text\n", {"silence_s": 0.1, "frameless_s": 0.3}),
+        (noise(stream_of(1).counts[0], 7), {"silence_s": 0.1, "frameless_s": 0.3}),
+    ],
+    ids=["no byte", "no frame", "text", "noise"],
+)
+def test_a_port_long_without_frames_is_reopened(sent: bytes, options: dict[str, float]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         server.settimeout(WITHIN_S)
         address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
-        with sensing(address, silence_s=0.1, frameless_s=0.3), server.accept()[0] as first:
-            first.sendall(data)
+        with sensing(address, **options), server.accept()[0] as first:
+            first.sendall(sent)
             with server.accept()[0]:
                 pass
 
