@@ -8,7 +8,7 @@ time for the held one, both are delivered, and the new clock is followed.
 
 If a clock that was followed for a quarter of a second steps back, the board has restarted. Its frames are
 then dated on from the last frame before, by how much later they arrived: a touch may go on, and rest stays
-known. A clock that also jumps ahead, as when two boards send on one line, is delivered as it is.
+known. A clock that jumps ahead is delivered as it is.
 """
 
 import math
@@ -26,8 +26,6 @@ UNITS_MS = {"none": 0.0, "ms": 1.0, "us": 0.001, "s": 1000.0}
 # The longest step from one frame to the next. Below 256 ms: a flipped bit that the checksum cannot see moves
 # the clock by at least that.
 MAX_STEP_S = 0.25
-# A clock that steps back has restarted, unless it jumped ahead within this time.
-LATELY_S = 60.0
 
 
 class PadClock:
@@ -45,7 +43,6 @@ class PadClock:
         self._held: Frame | None = None
         # When the clock that is followed was first seen.
         self._since_s = 0.0
-        self._jumped_s = -math.inf
         self.reset()
 
     def reset(self) -> None:
@@ -88,9 +85,8 @@ class PadClock:
         last, since_s, self._since_s = self._last, self._since_s, first.host_s
         if last is None:
             return
-        if (first.sensor_ms - last.sensor_ms) % CLOCK_MODULUS < CLOCK_MODULUS // 2:
-            self._jumped_s = first.host_s
-        elif first.host_s - since_s >= MAX_STEP_S and first.host_s - self._jumped_s >= LATELY_S:
+        is_back = (first.sensor_ms - last.sensor_ms) % CLOCK_MODULUS >= CLOCK_MODULUS // 2
+        if is_back and first.host_s - since_s >= MAX_STEP_S:
             later_ms = max(1, round(1000 * (first.host_s - last.host_s)))
             self._ahead_ms += last.sensor_ms + later_ms - first.sensor_ms
             self._counts.restarted()

@@ -130,22 +130,6 @@ def test_frames_that_were_held_up_are_dated_soon_after_as_they_come(held_s: floa
     assert not since or max(map(abs, since)) <= 2.0
 
 
-def test_a_flood_puts_no_stamp_ahead_of_its_arrival() -> None:
-    clock = ArrivalClock()
-    flood_s = [number / 10_000 for number in range(50_000)]
-    after_s = [5.0 + number / 54 for number in range(108)]
-    assert max(clock.stamp_ms(each) - 1000 * each for each in flood_s) <= 2.0
-    off_ms = [clock.stamp_ms(each) - 1000 * each for each in after_s]
-    assert max(map(abs, off_ms[81:])) <= 2.0
-
-
-def test_a_gap_restarts_the_arrival_clock() -> None:
-    clock = ArrivalClock()
-    before = [clock.stamp_ms(number / 54) for number in range(54)]
-    assert before[-1] == round(1000 * 53 / 54)
-    assert clock.stamp_ms(1.3) == 1300
-
-
 def dated(
     stamp: Callable[[float], float],
     seconds: float = 6.0,
@@ -214,26 +198,10 @@ def test_frames_around_a_restart_that_were_read_together_rise() -> None:
     assert np.diff([frame.sensor_ms for frame in frames]).min() >= 1
 
 
-@pytest.mark.parametrize(
-    ("jump_s", "restart_s", "is_restart"),
-    [(1.0, 1.0, False), (1.0, 60.5, False), (1.0, 61.5, True), (0.0, 0.2, False), (0.0, 0.3, True)],
-)
-def test_a_clock_that_jumped_ahead_lately_or_just_began_has_not_restarted(
-    jump_s: float, restart_s: float, is_restart: bool
-) -> None:
-    counts, _ = dated(
-        lambda second: (
-            round(1000 * second + 50_000 * (second >= jump_s > 0) - 20_000 * (second >= restart_s)) + 30_000
-        ),
-        restart_s + 2.0,
-    )
+@pytest.mark.parametrize(("restart_s", "is_restart"), [(0.2, False), (0.3, True)])
+def test_a_clock_that_just_began_has_not_restarted(restart_s: float, is_restart: bool) -> None:
+    counts, _ = dated(lambda second: round(1000 * second - 20_000 * (second >= restart_s)) + 30_000)
     assert counts.restarts == is_restart
-
-
-@pytest.mark.parametrize("turn_s", [0.1, 0.3, 1.0, 4.0])
-def test_two_boards_on_one_line_are_at_most_one_restart(turn_s: float) -> None:
-    counts, _ = dated(lambda second: round(1000 * second) + 90_000 * (second % (2 * turn_s) < turn_s), 55.0)
-    assert counts.restarts <= 1
 
 
 STEP_MS = 19
