@@ -1,6 +1,5 @@
 """`touchd record`: the order of recordings, their files, and complaints about them."""
 
-import gzip
 import io
 import re
 from collections.abc import Iterable
@@ -63,26 +62,6 @@ def test_the_setting_alone_decides_the_order(tmp_path: Path) -> None:
     ):
         assert [take.gesture for take in session(tmp_path, **change).takes()] != order
     assert len({take.path for take in again}) == 12
-
-
-def test_a_kept_recording_reads_back_and_replaces_a_partial_file(tmp_path: Path) -> None:
-    path = tmp_path / "x.csv.gz"
-    (tmp_path / ".partial-x.csv.gz").write_bytes(b"\x1f\x8b half")
-    write_recordings(path, [recording()], {"sensor": "a pad"})
-    (read,) = read_recordings(path)
-    np.testing.assert_array_equal(read.counts, recording().counts)
-    np.testing.assert_array_equal(read.sensor_ms, recording().sensor_ms)
-    assert gzip.decompress(path.read_bytes()).startswith(b"# sensor: a pad\n")
-    assert [file.name for file in tmp_path.iterdir()] == ["x.csv.gz"]
-
-
-def test_nothing_is_ever_written_over(tmp_path: Path) -> None:
-    path = tmp_path / "x.csv.gz"
-    path.write_text("precious")
-    with pytest.raises(RecordingError, match="never written over"):
-        write_recordings(path, [recording()], {})
-    assert path.read_text() == "precious"
-    assert [file.name for file in tmp_path.iterdir()] == ["x.csv.gz"]
 
 
 def test_a_folder_that_cannot_be_written_is_reported_first(tmp_path: Path) -> None:
