@@ -2,7 +2,6 @@
 
 import logging
 import time
-from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -38,51 +37,34 @@ class PadLost(Exception):  # noqa: N818 - names what happened; the recording is 
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """Recorded frames, and the share of them in which the pad was touched."""
+    """Recorded frames, and the share of them in which the pad was touched.
+
+    touch: first and last contact of a gesture made once, by the pad's clock; None if there was none.
+    """
 
     frames: tuple[Frame, ...]
-    touched_share: float
-
-    def recording(self, setting: Setting, gesture: str) -> Recording:
-        """Return the frames as a recording, on the pad's own clock."""
-        counts = np.stack([frame.pressure for frame in self.frames])
-        return Recording(*setting, gesture, counts, clock_ms(self.frames), "live")
-
-
-@dataclass(frozen=True, eq=False)
-class SingleCapture:
-    """A gesture made once. touch: first and last contact by the pad's clock, None if there was none."""
-
-    frames: tuple[Frame, ...]
-    touch: tuple[int, int] | None
+    touched_share: float = 0.0
+    touch: tuple[int, int] | None = None
 
     @property
     def length_s(self) -> float:
         return 0.0 if self.touch is None else (self.touch[1] - self.touch[0]) % CLOCK_MODULUS / 1000
 
     def recordings(self, setting: Setting, gesture: str) -> list[Recording]:
-        """Return the rest before, the touch, and the rest after, as the daemon saves a touch."""
-        if self.touch is None:
-            return []
-        since_ms = [(frame.sensor_ms - self.frames[0].sensor_ms) % CLOCK_MODULUS for frame in self.frames]
-        first_ms, last_ms = ((ms - self.frames[0].sensor_ms) % CLOCK_MODULUS for ms in self.touch)
-        first = bisect_left(since_ms, first_ms)
-        after = bisect_right(since_ms, last_ms)
-        start = bisect_left(since_ms, first_ms - LEAD_MS)
-        clocks = clock_ms(self.frames)
+        """Return the frames on the pad's own clock.
+
+        Of a gesture made once: the rest before, the touch, and the rest after, as the daemon saves a touch.
+        """
+        counts = np.stack([frame.pressure for frame in self.frames])
+        clock = clock_ms(self.frames)
+        parts = [(gesture, 0, len(clock))]
+        if self.touch is not None:
+            first_ms, last_ms = (clock[0] + (ms - clock[0]) % CLOCK_MODULUS for ms in self.touch)
+            start, first, after = np.searchsorted(clock, (first_ms - LEAD_MS, first_ms, last_ms + 1))
+            parts = [(NO_TOUCH, start, first), (gesture, first, after), (NO_TOUCH, after, len(clock))]
         return [
-            Recording(
-                *setting,
-                name,
-                np.stack([frame.pressure for frame in self.frames[begin:stop]]),
-                clocks[begin:stop],
-                "live",
-            )
-            for name, begin, stop in (
-                (NO_TOUCH, start, first),
-                (gesture, first, after),
-                (NO_TOUCH, after, len(self.frames)),
-            )
+            Recording(*setting, name, counts[begin:stop], clock[begin:stop], "live")
+            for name, begin, stop in parts
             if begin < stop
         ]
 
@@ -191,23 +173,17 @@ class Contact:
         return round(frame.sensor_ms) % CLOCK_MODULUS
 
 
-def complaints_about_single(capture: SingleCapture, troubles: list[str]) -> list[str]:
-    """Return reasons to repeat a gesture made once, one line each; none if it is usable."""
-    found = list(troubles)
-    if capture.touch is None:
-        found.append(f"no touch began and ended within {SINGLE_WITHIN_S:g} s")
-    elif capture.length_s > LONGEST_SINGLE_S:
-        found.append(f"that took {capture.length_s:.1f} s; once is enough")
-    return found
-
-
-def complaints(capture: Capture, gesture: str, troubles: list[str]) -> list[str]:
-    """Return reasons to repeat a recording, one line each; none if it is usable."""
-    found = list(troubles)
+def complaints(capture: Capture, gesture: str, troubles: list[str], *, is_single: bool = False) -> list[str]:
+    """Return reasons to repeat a recording, one line each; none if it is usable. is_single: made once."""
+    if is_single:
+        return [*troubles, *_complaints_about_single(capture)]
     pace = pace_of(capture.frames)
     if pace.rate_hz < MIN_RATE_HZ:
-        found.append(f"{pace.rate_hz:.1f} frames a second arrive; {MIN_RATE_HZ:.0f} or more are needed")
-        return found
+        return [
+            *troubles,
+            f"{pace.rate_hz:.1f} frames a second arrive; {MIN_RATE_HZ:.0f} or more are needed",
+        ]
+    found = list(troubles)
     if pace.lost > MOST_LOST_SHARE * len(capture.frames):
         found.append(f"{pace.lost} frames were lost: check cable and plug")
     if gesture == NO_TOUCH and capture.touched_share > 0:
@@ -217,3 +193,11 @@ def complaints(capture: Capture, gesture: str, troubles: list[str]) -> list[str]
     elif gesture != NO_TOUCH and capture.touched_share < LEAST_TOUCHED_SHARE:
         found.append(f"a touch was detected for only {capture.touched_share:.0%} of the time")
     return found
+
+
+def _complaints_about_single(capture: Capture) -> list[str]:
+    if capture.touch is None:
+        return [f"no touch began and ended within {SINGLE_WITHIN_S:g} s"]
+    if capture.length_s > LONGEST_SINGLE_S:
+        return [f"that took {capture.length_s:.1f} s; once is enough"]
+    return []

@@ -24,9 +24,7 @@ from touchd.daemon.record.capture import (
     Contact,
     PadLost,
     PadReader,
-    SingleCapture,
     complaints,
-    complaints_about_single,
 )
 from touchd.daemon.record.session import Session, Take
 from touchd.daemon.sinks.touch_store import description_of
@@ -132,10 +130,8 @@ class Dialogue:
             if self._waits and self._ask("  Enter to begin, s to skip, q to stop: ", ("", "s")) == "s":
                 return
             self._waits = not self._terms.flowing
-            capture: Capture | SingleCapture
             try:
-                with self._may_quit():
-                    capture = self._capture_once(take) if take.is_single else self._capture(take)
+                capture = self._capture(take)
             except PadLost as lost:
                 self._print(f"  {lost}", style="yellow")
                 self._waits = True
@@ -144,13 +140,9 @@ class Dialogue:
             if choice == "keep":
                 self._keep(take, capture)
 
-    def _keep(self, take: Take, capture: Capture | SingleCapture) -> None:
+    def _keep(self, take: Take, capture: Capture) -> None:
         """Save a recording; if that fails, as on a full disk, ask to try again. Raises `Stopped`."""
-        setting = self._session.setting
-        if isinstance(capture, SingleCapture):
-            recordings = capture.recordings(setting, take.gesture)
-        else:
-            recordings = [capture.recording(setting, take.gesture)]
+        recordings = capture.recordings(self._session.setting, take.gesture)
         while True:
             try:
                 write_recordings(take.path, recordings, self._provenance(take, capture))
@@ -191,76 +183,73 @@ class Dialogue:
         self._console.bell()
         return frames
 
-    def _capture_once(self, take: Take) -> SingleCapture:
-        """Count down, then record until a touch has begun and ended; raises PadLost and `Stopped`."""
-        if reason := self._pad.await_frame(ALIVE_WITHIN_S):
-            raise PadLost(reason)
-        contact = Contact(self._settings)
-        with progress(self._console) as show:
-            frames = self._countdown(contact, show)
-            # One that was over before it was asked for.
-            contact.touch = None
-            for elapsed_s, frame in self._follow(SINGLE_WITHIN_S):
-                frames.append(frame)
-                contact.update(frame)
-                show(self._name(take), elapsed_s, SINGLE_WITHIN_S, frame.pressure)
-                if contact.touch is not None:
-                    break
-        self._console.bell()
-        return SingleCapture(tuple(frames), contact.touch)
-
     def _capture(self, take: Take) -> Capture:
         """Count down while the pad rests, then record; raises PadLost and `Stopped`."""
         if reason := self._pad.await_frame(ALIVE_WITHIN_S):
             raise PadLost(reason)
         contact = Contact(self._settings)
+        with self._may_quit(), progress(self._console) as show:
+            rest = self._countdown(contact, show)
+            capture = (
+                self._once(take, contact, show, rest) if take.is_single else self._long(take, contact, show)
+            )
+        self._console.bell()
+        return capture
+
+    def _once(self, take: Take, contact: Contact, show: Show, frames: list[Frame]) -> Capture:
+        """Record until a touch has begun and ended. frames: the rest before it."""
+        # One that was over before it was asked for.
+        contact.touch = None
+        for elapsed_s, frame in self._follow(SINGLE_WITHIN_S):
+            frames.append(frame)
+            contact.update(frame)
+            show(self._name(take), elapsed_s, SINGLE_WITHIN_S, frame.pressure)
+            if contact.touch is not None:
+                break
+        return Capture(tuple(frames), touch=contact.touch)
+
+    def _long(self, take: Take, contact: Contact, show: Show) -> Capture:
+        """Record for the time of the terms, and a second before and after, which is not saved."""
         length_s = self._terms.seconds + 2 * EDGE_S
         frames, touched = [], 0
         # A name of another language stands alone.
         step = f"{take.gesture} now" if not self._terms.names else self._name(take)
         step = HANDS_OFF if take.gesture == NO_TOUCH else step
-        with progress(self._console) as show:
-            self._countdown(contact, show)
-            for elapsed_s, frame in self._follow(length_s):
-                is_touched = contact.update(frame)
-                kept_s = min(max(elapsed_s - EDGE_S, 0.0), self._terms.seconds)
-                show(step, kept_s, self._terms.seconds, frame.pressure)
-                if EDGE_S <= elapsed_s < length_s - EDGE_S:
-                    frames.append(frame)
-                    touched += is_touched
-        self._console.bell()
+        for elapsed_s, frame in self._follow(length_s):
+            is_touched = contact.update(frame)
+            kept_s = min(max(elapsed_s - EDGE_S, 0.0), self._terms.seconds)
+            show(step, kept_s, self._terms.seconds, frame.pressure)
+            if EDGE_S <= elapsed_s < length_s - EDGE_S:
+                frames.append(frame)
+                touched += is_touched
         return Capture(tuple(frames), touched / len(frames))
 
-    def _choose(self, capture: Capture | SingleCapture, take: Take) -> Choice:
+    def _choose(self, capture: Capture, take: Take) -> Choice:
         """Summarise a recording and ask what to do with it."""
         peak = max(int(frame.pressure.max()) for frame in capture.frames)
-        pace = pace_of(capture.frames)
-        if isinstance(capture, SingleCapture):
-            touched = f"touched for {capture.length_s:.1f} s"
-            found = complaints_about_single(capture, self._pad.troubles)
-        else:
-            touched = f"touched {capture.touched_share:.0%} of the time"
-            found = complaints(capture, take.gesture, self._pad.troubles)
+        rate_hz = pace_of(capture.frames).rate_hz
+        touched = f"{capture.touched_share:.0%} of the time"
+        touched = f"for {capture.length_s:.1f} s" if take.is_single else touched
         self._print(
-            f"  {len(capture.frames)} frames, {pace.rate_hz:.1f} a second, peak {peak} counts, {touched}"
+            f"  {len(capture.frames)} frames, {rate_hz:.1f} a second, peak {peak} counts, touched {touched}"
         )
+        found = complaints(capture, take.gesture, self._pad.troubles, is_single=take.is_single)
         if not found and self._terms.flowing:
             return "keep"
-        if isinstance(capture, SingleCapture) and capture.touch is None:
-            self._print(f"  {found[-1]}", style="yellow")
+        for complaint in found:
+            self._print(f"  {complaint}", style="yellow")
+        if take.is_single and capture.touch is None:
+            question = "  Enter to do it again, s to skip, q to stop: "
             choices: Mapping[str, Choice] = {"": "redo", "s": "skip"}
-            return choices[self._ask("  Enter to do it again, s to skip, q to stop: ", choices)]
-        if not found:
-            question = "  Enter to keep it, r to do it again, s to skip, q to stop: "
-            choices = {"": "keep", "r": "redo", "s": "skip"}
-        else:
-            for complaint in found:
-                self._print(f"  {complaint}", style="yellow")
+        elif found:
             question = "  Enter to do it again, k to keep it all the same, s to skip, q to stop: "
             choices = {"": "redo", "k": "keep", "s": "skip"}
+        else:
+            question = "  Enter to keep it, r to do it again, s to skip, q to stop: "
+            choices = {"": "keep", "r": "redo", "s": "skip"}
         return choices[self._ask(question, choices)]
 
-    def _provenance(self, take: Take, capture: Capture | SingleCapture) -> dict[str, str]:
+    def _provenance(self, take: Take, capture: Capture) -> dict[str, str]:
         part = f"the middle {self._terms.seconds:g} s of {self._terms.seconds + 2 * EDGE_S:g} s"
         return {
             "source": f"touchd record, touchd {metadata.version('touchd')}",
