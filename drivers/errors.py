@@ -1,34 +1,7 @@
 """The base class of touchd's errors: one printable line that says what is wrong and what to do.
 
-Every error that a user sees; the command shows its message and exits with code 2:
-
-TouchdError
-    UsageError         daemon/app/cli.py           the command line
-    ConfigError        daemon/app/strict_yaml.py   the configuration
-    PathError          drivers/errors.py            a path's home
-    SensorError        drivers/pad/port.py          the pad's port
-    FormatError        drivers/pad/format.py        the description of a pad
-    RobotError         drivers/robot/session.py     the robot's address, login or library
-    ModelError         model/classifier.py          a model file
-    RecordingError     drivers/recording.py         a recording
-    JournalError       daemon/sinks/journal.py     the journal
-    LabelError         daemon/sinks/labels.py      a label for a touch
-    TagError           daemon/sinks/tags.py        a tag for touches
-    BridgeError        daemon/bridges/bridge.py     a bridge's settings or library
-    LiveError          daemon/live/address.py       the live page's address or library
-    PlotError          daemon/plot/plot.py          a picture
-    ConvertError       daemon/commands/convert.py   a conversion
-    FakePortError      drivers/fakes/fake_port.py   the fake port
-    ExtraError         model/adapt/folder.py        the recordings to adapt to
-    OutputError        model/adapt/output.py        the adapted model's file
-    SettingsError      model/training/recipe.py     a recipe
-    DownloadError      model/training/download.py   HAART's archive
-    CheckpointError    model/training/checkpoint.py a training's file
-    MissingStudyError  model/studies/checks/scores.py
-    PageError          model/studies/marked.py      a page's marked places
-    ResultsError       model/studies/results.py     stored figures
-
-Other errors are handled where they arise and never shown, or internal: exit code 1.
+Every error that a user sees is a TouchdError; the command shows its message and exits with code 2. Other
+errors are handled where they arise and never shown, or internal: exit code 1.
 """
 
 import argparse
