@@ -30,7 +30,7 @@ from touchd.daemon.path.tracker.tracker import TouchSettings
 from touchd.daemon.robot.actions import ActionRule, Name
 from touchd.drivers.errors import TouchdError, written_out
 from touchd.drivers.frame import DEFAULT_PAD, ROWS
-from touchd.drivers.pad.format import PRESETS, PadFormat, Side
+from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.robot.session import RobotSettings
 
 MAX_BYTES = 64 * 1024
@@ -40,7 +40,6 @@ DEFAULT_PORT = "/dev/touchd-pad"
 FABRIC = "fabric-grid"
 # Errors of a machine that has no descriptors or memory left.
 NO_ROOM = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)
-OVERRIDES = ("rows", "columns", "crop", "invert", "turn", "mirror")
 
 Language: TypeAlias = Literal["en", "de"]
 # Not gt=0, here and elsewhere: msgspec makes that the smallest denormal float, which equals 0 once the model
@@ -85,15 +84,11 @@ def _check_pads(ports: Mapping[str, str], *, needs_ascii: bool, for_ros: bool) -
 
 
 class SensorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The pad and the line it is on. rows to mirror override those of the format."""
+    """The pad, the line it is on, and how it lies. turn, mirror: override those of the format."""
 
     port: Annotated[str, msgspec.Meta(min_length=1)] = DEFAULT_PORT
     baud: Annotated[int, msgspec.Meta(ge=1200, le=4_000_000)] = 512_000
     format: str | PadFormat = FABRIC
-    rows: Side | None = None
-    columns: Side | None = None
-    crop: Annotated[int, msgspec.Meta(ge=0, le=28)] | None = None
-    invert: bool | None = None
     turn: Literal[0, 90, 180, 270] | None = None
     mirror: bool | None = None
     size_mm: tuple[Length, Length] | None = None
@@ -108,11 +103,15 @@ class SensorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
             raise ValueError("a binary format needs a header or footer; lines of numbers need framing: text")
 
     @property
+    def sent(self) -> PadFormat:
+        """The format alone, whatever way the pad lies."""
+        return PRESETS[self.format] if isinstance(self.format, str) else self.format
+
+    @property
     def described(self) -> PadFormat:
-        """The pad's format, with the overrides applied."""
-        described = PRESETS[self.format] if isinstance(self.format, str) else self.format
-        own = {name: getattr(self, name) for name in OVERRIDES if getattr(self, name) is not None}
-        return PadFormat(**(msgspec.structs.asdict(described) | own))
+        """The format of the pad as it lies."""
+        lies = {name: getattr(self, name) for name in ("turn", "mirror") if getattr(self, name) is not None}
+        return PadFormat(**(msgspec.structs.asdict(self.sent) | lies))
 
 
 class SceneSettings(DecisionSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):

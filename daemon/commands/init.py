@@ -16,7 +16,6 @@ from serial.tools.list_ports import comports
 from touchd.daemon.app.config import (
     DEFAULT_PORT,
     FABRIC,
-    OVERRIDES,
     ConfigError,
     SensorSettings,
     Settings,
@@ -141,14 +140,10 @@ def _write(
 
 
 def _as_settings(described: PadFormat) -> str:
-    """Return a description as lines below `sensor:`; a fabric pad's as the preset and what differs."""
-    fabric = PRESETS[FABRIC]
-    own = {name: getattr(described, name) for name in OVERRIDES}
-    if replace(fabric, **own) != described:
-        return f"  {as_yaml(described)}\n"
-    changed = {name: value for name, value in own.items() if value != getattr(fabric, name)}
-    lines = (f"  {name}: {json.dumps(value)}\n" for name, value in changed.items())
-    return "".join((f"  {as_yaml(fabric)}\n", *lines))
+    """Return a description as lines below `sensor:`, how the pad lies beside what it sends."""
+    text = f"  {as_yaml(replace(described, turn=0, mirror=False))}\n"
+    text += f"  turn: {described.turn}\n" if described.turn else ""
+    return text + ("  mirror: true\n" if described.mirror else "")
 
 
 def _quoted(text: str) -> str:

@@ -4,6 +4,7 @@ import os
 from collections.abc import Callable
 
 import numpy as np
+from msgspec.structs import replace
 
 from touchd.daemon.app.config import SensorSettings
 from touchd.daemon.doctor.check import Check, Verdict
@@ -80,7 +81,7 @@ def check_protocol(
     finding = find()
     if finding.proposed is not None:
         found = f"no frame of {described} in {looks_like(data[-RECENT_BYTES:])}"
-        return Check("protocol", "to do", found, _advice_to_set(finding.proposed, sensor))
+        return Check("protocol", "to do", found, f"set under sensor: {as_yaml(finding.proposed)}")
     rates = ", ".join(map(str, sorted(USUAL_BAUDS)))
     tried = "" if is_text(data) or "://" in sensor.port else f"; baud rates tried: {rates}"
     found = f"no frame of {described} in {finding.saw}"
@@ -94,19 +95,9 @@ def _check_described(sensor: SensorSettings) -> Check:
     rows, columns = described.used
     if described.crop and (rows < ROWS or columns < COLUMNS):
         found = f"{found}, of which only the inner {rows}x{columns} are used"
-        return Check("protocol", "warning", found, "set sensor.crop: 0 if no cell is to be left out")
+        whole = as_yaml(replace(sensor.sent, crop=0))
+        return Check("protocol", "warning", found, f"to leave out no cell, set under sensor: {whole}")
     return Check("protocol", "ok", found)
-
-
-def _advice_to_set(proposed: PadFormat, sensor: SensorSettings) -> str:
-    # The bytes cannot show how the pad lies, so turn and mirror stay as the user set them.
-    wrong = [
-        name
-        for name in ("rows", "columns", "crop", "invert")
-        if getattr(sensor, name) not in (None, getattr(proposed, name))
-    ]
-    delete = f"; delete {', '.join(wrong)} there" if wrong else ""
-    return f"set under sensor: {as_yaml(proposed)}{delete}"
 
 
 def _other_baud(sensor: SensorSettings, opened: Line) -> int | None:

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from touchd.daemon.app.config import Settings
@@ -13,6 +14,7 @@ from touchd.daemon.path.tracker.baseline import MAX_DEVIATION_COUNTS
 from touchd.daemon.path.tracker.tracker import Onset, TouchTracker
 from touchd.drivers.frame import COLUMNS, MAX_COUNT, ROWS, Frame
 from touchd.drivers.pad.clock import steps_ms
+from touchd.drivers.pad.format import as_yaml
 from touchd.drivers.pad.grid import Ring
 from touchd.model.classifier import KNOWN_REST_COUNTS
 
@@ -221,4 +223,5 @@ def check_orientation(sample: Sample, rest: NDArray[np.float64], settings: Setti
 
 def _turned_over(settings: Settings) -> str:
     """Return the advice for a pad that is read upside down."""
-    return f"set sensor.invert: {str(not settings.sensor.described.invert).lower()}"
+    sent = settings.sensor.sent
+    return f"set under sensor: {as_yaml(replace(sent, invert=not sent.invert))}"

@@ -26,7 +26,7 @@ SURE = 0.7
 SURE_FALLS = 0.2
 # The final answer, and the answer to an ended touch, are told from these confidences on. They are lower than
 # speak_above, as waiting helps no more; docs/decision.md has their curves.
-FINAL_ABOVE, RELEASED_ABOVE = 0.4, 0.4
+FINAL_ABOVE = 0.4
 # "No touch" counts this much in the answer to an ended touch: the tracker has followed it from its first to
 # its last contact. Without this, one light touch in a hundred more is not named.
 ENDED_NOTOUCH = 0.15
@@ -54,7 +54,6 @@ class DecisionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     early: Literal["at_mark", "when_sure"] = "at_mark"
     speak_above: Probability = 0.65
     final_above: Probability = FINAL_ABOVE
-    released_above: Probability = RELEASED_ABOVE
     revise_margin: Probability = 0.1
     stale_s: Annotated[float, msgspec.Meta(ge=0.001, le=60)] = 2.0
 
@@ -174,8 +173,7 @@ class Decision:
     def _limit(self, stage: Stage) -> float:
         """Return the confidence from which an answer is told at a stage."""
         settings = self._settings
-        limits = {"final": settings.final_above, "released": settings.released_above}
-        return limits.get(stage, settings.speak_above)
+        return settings.final_above if stage in ("final", "released") else settings.speak_above
 
     def weigh(self, probabilities: NDArray[np.float64]) -> dict[str, float]:
         """Return (labels,) probabilities by label, renormalised over the gestures that can occur."""

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 from msgspec import inspect
 
@@ -21,7 +22,7 @@ from touchd.daemon.app.config import (
 from touchd.daemon.app.parts import make_parts
 from touchd.daemon.commands.settings import find_settings
 from touchd.drivers.errors import PathError
-from touchd.drivers.pad.format import PadFormat
+from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.queue import Signal
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 
@@ -132,7 +133,7 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
         ("sensor: {onset_threshold: 5}", "unknown setting; did you mean touch.onset_threshold?"),
         ("sensor:\n\tport: x", "line 2, column 1: indent with spaces, not with tabs"),
         ("sensor: {format: {framing: txt}}", "sensor.format.framing: 'txt' is not one of text, binary"),
-        ("rows: 10", "rows: unknown setting; did you mean sensor.rows?"),
+        ("turn: 90", "turn: unknown setting; did you mean sensor.turn?"),
         ("port: /dev/x", "port: unknown setting; did you mean sensor.port?"),
         ("robot: {ip: 10.0.0.5}", "robot.ip: unknown setting; there are url, "),
         ("scene: {zzz: 1}", "scene.zzz: unknown setting"),
@@ -148,7 +149,7 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
         ("sensor: {baud: 3}", "sensor.baud: 3 must be at least 1200"),
         (f"sensor: {{baud: {'9' * 8000}}}", "Exceeds the limit (4300 digits)"),
         ("sensor: {protocol: csv}", "sensor.protocol: unknown setting"),
-        ("sensor: {crop: 4}", "sensor: 10x10 with crop 4 leaves 2x2; a side of 4 to 64 must be left"),
+        ("sensor: {format: {header: aa, crop: 4}}", "10x10 with crop 4 leaves 2x2; a side of 4 to 64"),
         ("sensor: {format: fabricgrid}", "did you mean fabric-grid?"),
         ("sensor: {format: xyz}", "format 'xyz' is none of fabric-grid, csv,"),
         ("sensor: {format: {header: aa, clock: true}}", "sensor.format.clock: "),
@@ -282,8 +283,8 @@ def test_every_pad_has_the_same_limits(format: str) -> None:
         ({}, False),
         ({"format": "velostat"}, False),
         ({"format": "m1616"}, True),
-        ({"format": "m1616", "crop": 4}, False),
-        ({"format": "velostat", "columns": 9}, True),
+        ({"format": msgspec.structs.replace(PRESETS["m1616"], crop=4)}, False),
+        ({"format": msgspec.structs.replace(PRESETS["velostat"], columns=9)}, True),
     ],
 )
 def test_a_pad_of_more_taxels_than_a_frame_is_known_by_its_grid(

@@ -239,8 +239,8 @@ def test_a_hand_that_has_just_left_is_answered_from_speak_above_on() -> None:
     assert not decision.is_sure_of_released(probabilities(notouch=0.9), is_over=False)
 
 
-def test_a_hand_that_has_been_off_for_half_a_second_is_answered_from_released_above_on() -> None:
-    decision = Decision(DecisionSettings(released_above=0.3), LABELS)
+def test_a_hand_that_has_been_off_for_half_a_second_is_answered_from_final_above_on() -> None:
+    decision = Decision(DecisionSettings(final_above=0.3), LABELS)
     pat, less = (probabilities(pat=value, rub=0.1, stroke=0.1) for value in (0.27, 0.26))
     assert decision.is_sure_of_released(pat, is_over=True)
     assert not decision.is_sure_of_released(less, is_over=True)

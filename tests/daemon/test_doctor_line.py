@@ -26,7 +26,7 @@ from touchd.daemon.doctor.listening import Sample, listen
 from touchd.drivers.fakes.encode import encode_frame
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import Frame
-from touchd.drivers.pad.format import PRESETS, PadFormat
+from touchd.drivers.pad.format import PRESETS, PadFormat, as_yaml
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import SensorError, open_port
 from touchd.drivers.search.search import Finding, search
@@ -67,20 +67,14 @@ def test_a_group_that_waits_for_the_next_login_is_said(monkeypatch: pytest.Monke
         assert check.advice.startswith(advice)
 
 
-def test_settings_against_the_proven_format_are_named() -> None:
-    wrong = SensorSettings(rows=8, columns=8, crop=0, turn=90)
-    proven = Finding(PRESETS["csv"], "", "text")
-    check = protocol_of(pad_of(resting(60.0), encode_csv_line), wrong, find=lambda: proven)
-    assert check.advice == "set under sensor: format: csv; delete rows, columns, crop there"
-
-
 def test_cropping_a_small_pad_is_a_warning() -> None:
-    check = protocol_of(pad_of(resting(60.0), as_8x8), SensorSettings(rows=8, columns=8))
+    small = replace(PRESETS["fabric-grid"], rows=8, columns=8)
+    check = protocol_of(pad_of(resting(60.0), as_8x8), SensorSettings(format=small))
     assert check.verdict == "warning"
     assert check.found.endswith("as configured, of which only the inner 6x6 are used")
-    assert check.advice.startswith("set sensor.crop: 0")
-    whole = SensorSettings(rows=8, columns=8, crop=0)
-    assert protocol_of(pad_of(resting(60.0), as_8x8), whole).verdict == "ok"
+    whole = replace(small, crop=0)
+    assert check.advice.endswith(f"set under sensor: {as_yaml(whole)}")
+    assert protocol_of(pad_of(resting(60.0), as_8x8), SensorSettings(format=whole)).verdict == "ok"
 
 
 def protocol_of(

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 from rigs.doctor_rig import SETTINGS, pad_of, resting, sample
@@ -18,9 +19,12 @@ from touchd.daemon.doctor.values import (
     is_pressed,
 )
 from touchd.drivers.frame import Counts
+from touchd.drivers.pad.format import PRESETS, as_yaml
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import open_port
 from touchd.model.studies.simulated import simulate
+
+TURN_OVER = f"set under sensor: {as_yaml(msgspec.structs.replace(PRESETS['fabric-grid'], invert=False))}"
 
 
 def test_a_sound_pad_at_rest_has_only_living_taxels() -> None:
@@ -123,7 +127,7 @@ def test_values_that_no_hand_makes_are_named(
 
 def test_an_inverted_pad_is_distinguished_from_a_loaded_one() -> None:
     upside_down = check_rest(sample(np.uint16(1023) - resting()), SETTINGS)
-    assert upside_down.advice == "set sensor.invert: false"
+    assert upside_down.advice == TURN_OVER
     counts = resting()
     counts[:, 1, 2] += 200
     assert "something lies on row 2 column 3" in check_rest(sample(counts), SETTINGS).found
@@ -190,4 +194,4 @@ def test_values_that_fall_under_the_hand_are_upside_down() -> None:
     rest = np.median(counts, axis=0)
     counts[-10:, 0, 0] -= 300
     check = check_orientation(sample(counts), rest, SETTINGS)
-    assert (check.verdict, check.advice) == ("to do", "set sensor.invert: false")
+    assert (check.verdict, check.advice) == ("to do", TURN_OVER)

@@ -173,16 +173,15 @@ def test_a_port_that_another_program_reads_is_no_missing_pad() -> None:
     assert not FILE.exists()
 
 
-@pytest.mark.parametrize(
-    "changed", [{"rows": 8, "columns": 8, "crop": 0}, {"turn": 90, "mirror": True}, {"invert": False}]
-)
-def test_a_fabric_pads_other_grid_is_written_beside_the_preset(
-    monkeypatch: pytest.MonkeyPatch, changed: dict[str, Any]
+@pytest.mark.parametrize("changed", [{}, {"rows": 8, "columns": 8, "crop": 0}])
+@pytest.mark.parametrize("lies", [{}, {"turn": 90, "mirror": True}])
+def test_how_a_pad_lies_is_written_beside_what_it_sends(
+    monkeypatch: pytest.MonkeyPatch, changed: dict[str, Any], lies: dict[str, Any]
 ) -> None:
-    described = replace(PRESETS["fabric-grid"], **changed)
-    monkeypatch.setattr(init, "_find", lambda *_: init.Found("none", 512_000, described))
+    sent = replace(PRESETS["fabric-grid"], **changed)
+    monkeypatch.setattr(init, "_find", lambda *_: init.Found("none", 512_000, replace(sent, **lies)))
     assert write() == 0
-    assert load(FILE).sensor == SensorSettings(port="none", **changed)
+    assert load(FILE).sensor == SensorSettings(port="none", format=sent if changed else "fabric-grid", **lies)
 
 
 def test_a_full_disk_leaves_no_file(monkeypatch: pytest.MonkeyPatch) -> None:

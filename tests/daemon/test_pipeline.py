@@ -152,7 +152,7 @@ def test_a_hand_that_has_left_is_answered_at_once() -> None:
 
 
 def test_an_unsure_answer_to_a_hand_that_has_left_waits_for_half_a_second() -> None:
-    bench = Bench(decision=DecisionSettings(speak_above=0.95, released_above=0.9))
+    bench = Bench(decision=DecisionSettings(speak_above=0.95, final_above=0.9))
     assert predictions(bench.feel(palm(0.5), nothing(0.45))) == []
     events = bench.feel(nothing(0.1))
     assert (told(events), ended(events)) == ([("released", "stroke")], [])
@@ -161,7 +161,7 @@ def test_an_unsure_answer_to_a_hand_that_has_left_waits_for_half_a_second() -> N
 
 
 def test_an_answer_too_unsure_for_an_ended_touch_waits_for_its_end() -> None:
-    bench = Bench(decision=DecisionSettings(speak_above=0.97, released_above=0.96))
+    bench = Bench(decision=DecisionSettings(speak_above=0.97, final_above=0.96))
     assert predictions(bench.feel(palm(0.5), nothing(0.7))) == []
     assert told(bench.feel(nothing(0.5))) == [("uncertain", "uncertain")]
 
@@ -545,7 +545,7 @@ def test_a_lasting_unsure_touch_is_uncertain_once(sure_after: int, said: list[st
 
 
 def test_a_short_unsure_touch_tells_the_robot_uncertain() -> None:
-    bench = Bench(decision=DecisionSettings(speak_above=0.95, released_above=0.95))
+    bench = Bench(decision=DecisionSettings(speak_above=0.95, final_above=0.95))
     events = bench.feel(palm(0.6), nothing(2.0))
     assert told(events) == [("uncertain", "uncertain")]
     assert [answer.perhaps for answer in predictions(events)] == ["stroke"]

@@ -20,7 +20,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.daemon.path.decide import RELEASED_ABOVE
+from touchd.daemon.path.decide import FINAL_ABOVE
 from touchd.daemon.path.events import UNCERTAIN, Event, Prediction, epoch_s
 from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT, NO_TOUCH, Counts
 from touchd.drivers.recording import Recording, set_up
@@ -38,7 +38,7 @@ from touchd.model.training.studies import study_of
 from touchd.model.training.weights import left_out_split
 
 FILE = STORED / "passing.json"
-LIMITS = (0.3, RELEASED_ABOVE, 0.5)
+LIMITS = (0.3, FINAL_ABOVE, 0.5)
 REST_FRAMES = 162
 # A cut piece rises from rest, and falls to it, within this many frames.
 FADE_FRAMES = 4
@@ -262,7 +262,7 @@ def rows(fates: Sequence[Fate]) -> dict[str, PassingScore]:
 
 
 def curve(fates: Sequence[Fate], limits: Sequence[float]) -> list[tuple[float, float, float]]:
-    """Return for each value of `released_above`: it, percent right of all, percent right of the named."""
+    """Return for each value of `final_above`: it, percent right of all, percent right of the named."""
     rows = []
     for limit in limits:
         named = [
@@ -280,7 +280,7 @@ def curve(fates: Sequence[Fate], limits: Sequence[float]) -> list[tuple[float, f
 
 
 class Row(msgspec.Struct, frozen=True, kw_only=True):
-    """One study's figures: by touch, and the curve of `released_above`."""
+    """One study's figures: by touch, and the curve of `final_above`."""
 
     scores: dict[str, PassingScore]
     curve: list[tuple[float, float, float]]
@@ -331,13 +331,13 @@ def curve_table(measured: Measured) -> dict[str, str]:
     """Return the table of docs/decision.md by its place."""
     people = list(measured.passing)
     limits = [
-        (f"{limit:.2f}" + (" (default)" if limit == RELEASED_ABOVE else ""))
+        (f"{limit:.2f}" + (" (default)" if limit == FINAL_ABOVE else ""))
         for limit, _, _ in measured.passing[people[0]].curve
     ]
     columns = [
         [f"{right:g} / {named:g}" for _, right, named in measured.passing[each].curve] for each in people
     ]
-    return {"released": table(("`released_above`", *people), zip(limits, *columns, strict=True))}
+    return {"released": table(("`final_above`", *people), zip(limits, *columns, strict=True))}
 
 
 def main(arguments: Sequence[str]) -> int:
