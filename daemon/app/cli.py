@@ -4,6 +4,7 @@ import difflib
 import errno
 import importlib
 import io
+import logging
 import os
 import signal
 import sys
@@ -51,6 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a subcommand; returns 0, 2 for the user's mistakes, 1 for ours, 130 when a signal cut it short."""
     given = sys.argv[1:] if arguments is None else arguments
     words = [word for word in given if word != "--debug"]
+    logging.getLogger().setLevel(logging.DEBUG if "--debug" in given else logging.INFO)
     ended = 0 if words[:1] and words[0] in UNTIL_ENDED else INTERRUPTED
     _prepare_streams()
     try:
@@ -114,7 +116,7 @@ def _help() -> str:
     width = max(map(len, COMMANDS))
     lines = [f"  touchd {name:<{width}}  {what}" for name, what in COMMANDS.items()]
     first = "touchd recognises social touch on a pressure pad and reports it to a Nao robot within a second."
-    last = f"{program_name()} COMMAND --help says more; --debug with any command shows the trace of an error."
+    last = f"{program_name()} COMMAND --help says more; --debug shows the trace of an error, and logs more."
     return "\n".join([first, "", *lines, "", last, ""])
 
 

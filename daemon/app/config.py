@@ -180,7 +180,6 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     name: RobotName = "touchd"
     language: Language = "en"
     words: dict[str, Words] = {}
-    log_level: Literal["debug", "info", "warning", "error"] = "info"
 
     def __post_init__(self) -> None:
         if self.sensors and self.sensor != SensorSettings():

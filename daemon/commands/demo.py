@@ -102,7 +102,7 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str]) -> int:
     """Show the daemon at work for less than a minute, or with a live page until Ctrl-C; returns 0."""
     options = parser().parse_args(arguments)
-    settings = Settings(scene=SceneSettings(actions=ACTIONS), log_level="warning")
+    settings = Settings(scene=SceneSettings(actions=ACTIONS))
     if options.live is not None:
         return _be_touched(options.live, settings)
     stream = splice(read_recordings(DEMO_RECORDING))
@@ -153,7 +153,7 @@ def _be_touched(address: str, settings: Settings) -> int:
         port = closing.enter_context(LivePort(pad.scan, encoder_for(settings.sensor)))
         show.note(f"live page: {' '.join(urls)}   Ctrl-C ends")
         # Live predictions are not events: get them from the daemon's own page, whose address is in its log.
-        inner = msgspec.structs.replace(settings, live=LiveSettings(port=0), log_level="info")
+        inner = msgspec.structs.replace(settings, live=LiveSettings(port=0))
         _run(port, show, closing, inner, page)
     return 0
 

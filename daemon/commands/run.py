@@ -137,7 +137,6 @@ def main(arguments: Sequence[str]) -> int:
         root = logging.getLogger()
         root.addHandler(handler)
         closing.callback(root.removeHandler, handler)
-        root.setLevel(settings.log_level.upper())
         log.info("%s; journal: %s", found, settings.journal.file if settings.journal else "none")
         favour_latency()
         service.run(_reporting(service, signals.must_stop, closing))

@@ -187,7 +187,6 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
         ("mqtt: {discovery: a/#}", "mqtt.discovery: another form expected, as in discovery: homeassistant"),
         ("rosbridge: {url: 'ws://robot:90900'}", "(Port out of range 0-65535)"),
         ("scene: {actions: [{above: {peek: 3}, do: [{say: a}]}]}", "'peek' is not one of duration_s"),
-        ("log_level: loud", "log_level: 'loud' is not one of debug, info, warning, error"),
         ("model: null\nmodel: x.onnx", "line 2, column 1: model is set twice"),
         ("model: a\n<<: {model: b}", "line 2, column 1: merge keys (<<) are not allowed"),
         ("sensor: [", "line 1, column 10: "),

@@ -90,7 +90,7 @@ def test_a_view_ends_well_when_its_terminal_is_closed() -> None:
 def test_a_log_that_nobody_reads_stops_nothing(tmp_path: Path) -> None:
     reader, writer = full_pipe()
     with FakePort(stream_of(LENGTHS), encoder_for(SensorSettings()), speed=4.0) as port, open(writer) as log:
-        settings = Settings(sensor=SensorSettings(port=port.path), log_level="debug")
+        settings = Settings(sensor=SensorSettings(port=port.path))
         daemon = SpawnedDaemon(settings, tmp_path, log)
         try:
             assert any(isinstance(event, TouchEnded) for event in daemon.events())

@@ -353,7 +353,6 @@ class FaultyDaemon(Daemon):
             mqtt=MqttSettings(host="127.0.0.1", port=broker, pressure_hz=500.0),
             rosbridge=RosbridgeSettings(url=f"ws://127.0.0.1:{rosbridge}", pressure_hz=500.0),
             scene=SceneSettings(),
-            log_level="debug",
         )
 
     def hang_up(self) -> None:
