@@ -2,14 +2,12 @@
 
 import json
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
 from rigs.browser import show_in
 from rigs.made_events import PREDICTION, TIME
-from rigs.running_daemon import Daemon
 from rigs.wait import WITHIN_S, wait_for
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
@@ -150,14 +148,6 @@ def test_what_is_not_a_label_is_refused(labelled: Labelled, message: str, why: s
 def test_a_viewer_behind_a_web_server_may_not_label(labelled: Labelled, header: str) -> None:
     assert "only this computer" in refusal(labelled.stream, SAID, additional_headers={header: "203.0.113.5"})
     assert labelled.events == []
-
-
-def test_only_a_page_that_is_asked_for_it_takes_labels(tmp_path: Path) -> None:
-    with Daemon(tmp_path, live=LiveSettings(port=0)) as daemon:
-        url = f"{daemon.url.replace('http', 'ws')}/stream"
-        with connect(url) as viewer:
-            assert json.loads(viewer.recv(timeout=WITHIN_S))["may_label"] is False
-        assert "nothing is read here" in refusal(url, SAID)
 
 
 class Viewer:

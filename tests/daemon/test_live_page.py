@@ -4,6 +4,7 @@ import itertools
 import json
 import re
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,15 @@ from touchd.daemon.live.address import listen
 from touchd.daemon.live.memory import Scene
 from touchd.daemon.live.server import LiveServer
 from touchd.daemon.live.touch import Touching
-from touchd.daemon.path.events import Prediction, RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
+from touchd.daemon.path.events import (
+    Event,
+    Prediction,
+    RobotAction,
+    RobotEvent,
+    SensorEvent,
+    TouchBegan,
+    TouchEnded,
+)
 from touchd.daemon.robot.words import name_of, vocabulary
 from touchd.drivers.recording import Stream, ideal_clock_ms
 from touchd.drivers.robot.session import RobotSettings
@@ -101,11 +110,6 @@ def lefts_and_rights(chrome: Chrome, selector: str) -> NDArray[np.float64]:
     sides = """return [...document.querySelectorAll(arguments[0])]
                  .map(one => one.getBoundingClientRect()).map(box => [box.left, box.right])"""
     return np.array(chrome.execute_script(sides, selector))
-
-
-def lie_within(chrome: Chrome, selector: str, width: int) -> bool:
-    sides = lefts_and_rights(chrome, selector)
-    return bool(sides.min() >= 0 and sides.max() <= width)
 
 
 def listed(chrome: Chrome) -> list[str]:
@@ -319,31 +323,14 @@ def test_reduced_motion_is_respected(played: WatchedPage) -> None:
     assert played.run(moving) != "none"
 
 
-PHONES = [(320, 800), (390, 800)]
-OTHERS = [(1280, 650), (1920, 1080), (768, 1024), (1024, 1366)]
-
-
-@pytest.mark.parametrize(("width", "height"), PHONES + OTHERS)
-def test_only_a_phone_needs_scrolling_and_only_down(played: WatchedPage, width: int, height: int) -> None:
-    show_in(played.chrome, width, height)
-    try:
-        wait_for(lambda: played.run("return innerWidth") == width)
-        assert played.run("return document.documentElement.scrollWidth") <= width
-        shown = "#flags li, #bars li *, #vitals div, #touches *"
-        wait_for(lambda: lie_within(played.chrome, shown, width))
-        if (width, height) in OTHERS:
-            assert played.run("return document.documentElement.scrollHeight") <= height
-    finally:
-        show_in(played.chrome, 1280, 800)
-
-
 def test_text_at_double_size_stays_visible(played: WatchedPage) -> None:
     played.chrome.execute_cdp_cmd("Page.setFontSizes", {"fontSizes": {"standard": 32}})
     try:
         size = "return parseFloat(getComputedStyle(document.body).fontSize)"
         wait_for(lambda: played.run(size) >= 32)
-        shown = "#gesture, #bars li *, #flags li, #vitals div"
-        wait_for(lambda: lie_within(played.chrome, shown, 1280))
+        sides = """return [...document.querySelectorAll('#gesture, #bars li *, #flags li, #vitals div')]
+                     .map(one => one.getBoundingClientRect()).flatMap(box => [box.left, box.right])"""
+        wait_for(lambda: min(played.run(sides)) >= 0 and max(played.run(sides)) <= 1280)
     finally:
         played.chrome.execute_cdp_cmd("Page.setFontSizes", {"fontSizes": {"standard": 16}})
 
@@ -354,8 +341,7 @@ def test_bars_stay_visible_in_forced_colours(played: WatchedPage) -> None:
     try:
         bar = "const bar = document.querySelector('.best + .bar'); "
         inside = bar + "return getComputedStyle(bar.firstElementChild).backgroundColor"
-        paper = "return getComputedStyle(document.body).backgroundColor"
-        assert played.run(inside) != played.run(paper)
+        assert played.run(inside) != played.run("return getComputedStyle(document.body).backgroundColor")
         assert played.run(bar + "return getComputedStyle(bar).borderTopStyle") == "solid"
     finally:
         prefer(played.chrome)
@@ -391,26 +377,69 @@ def test_a_pointer_on_the_daemons_page_sends_nothing(played: WatchedPage) -> Non
     assert text_of(played.chrome, "#vital-link dd") == "live"
 
 
-def test_the_robots_words_and_why_an_answer_stands_are_shown(chrome: Chrome) -> None:
-    with serving(language="de") as served:
+BEGAN = TouchBegan(touch=1, time=TIME, sensor_ms=0)
+ENDED = TouchEnded(touch=1, gesture="uncertain", frames=150, reason="released", time=TIME)
+ROBOT = {"robot": RobotSettings(url="tcp://127.0.0.1:1")}
+ANSWER = replace(PREDICTION, touch=1)
+CLOSE = {"pat": 0.45, "rub": 0.5, "stroke": 0.05}
+STANDS = replace(ANSWER, stage="final", gesture="pat", confidence=0.45, probabilities=CLOSE)
+SAYS = RobotAction(touch=1, action="say", what="Das war <b>Tätscheln</b>.", time=TIME)
+LATE = replace(ANSWER, stage="released", gesture="stroke", frames=32, elapsed_s=0.6, age_ms=900.0)
+GUESS = replace(ANSWER, stage="uncertain", gesture="uncertain", perhaps="pat")
+UNSURE = replace(ANSWER, gesture="uncertain")
+# The answer, in the list of touches, and on the time line.
+NAMED = ("#gesture", "#touches b", "#flags .name")
+
+
+@contextmanager
+def showing(chrome: Chrome, *events: Event, **settings: Any) -> Iterator[Served]:
+    """Yield a page in the browser, to which these events came after it was loaded."""
+    with serving(**settings) as served:
         chrome.get(f"http://127.0.0.1:{served.port}/")
         wait_for(lambda: text_of(chrome, "#gesture") == "Touch the pad")
-        served.sink.put(SensorEvent(state="down", time=TIME))
+        for event in events:
+            served.sink.put(event)
         served.put_frame()
-        wait_for(lambda: text_of(chrome, "#gesture") == "The pad is down")
-        served.sink.put(SensorEvent(state="up", time=TIME))
-        served.sink.put(TouchBegan(touch=1, time=TIME, sensor_ms=0))
-        shares = {"pat": 0.45, "rub": 0.5, "stroke": 0.05}
-        served.sink.put(
-            replace(PREDICTION, touch=1, stage="final", gesture="pat", confidence=0.45, probabilities=shares)
-        )
-        served.sink.put(RobotAction(touch=1, action="say", what="Das war <b>Tätscheln</b>.", time=TIME))
-        served.put_frame()
-        wait_for(lambda: text_of(chrome, "#says") == "“Das war <b>Tätscheln</b>.”")
-        assert text_of(chrome, "#gesture") == "Tätscheln"
-        why = "the answer stands: the likeliest leads by 5 points, 10 are needed"
-        assert text_of(chrome, "#chances-when") == why
-        assert text_of(chrome, "#bars .best") == "Tätscheln"
+        yield served
+
+
+@pytest.mark.parametrize(
+    ("settings", "events", "texts"),
+    [
+        ({}, [SensorEvent(state="down", time=TIME)], {"#gesture": "The pad is down"}),
+        ({"language": "de"}, [BEGAN, STANDS], {"#gesture": "Tätscheln", "#bars .best": "Tätscheln"}),
+        (
+            {},
+            [BEGAN, STANDS],
+            {"#chances-when": "the answer stands: the likeliest leads by 5 points, 10 are needed"},
+        ),
+        ({}, [BEGAN, STANDS, SAYS], {"#says": "“Das war <b>Tätscheln</b>.”"}),
+        (
+            ROBOT,
+            [RobotEvent(state="up", time=TIME), BEGAN, LATE],
+            {"#flags small": "saw 0.6 s, told at 1.5 s ✓", "#remark": "told the robot at 1.5 s"},
+        ),
+        ({}, [BEGAN, ANSWER, GUESS], {"#remark": "↻ before: stroke", "#flags .changed": "A pat, perhaps?"}),
+        # An answer that was not told was not there before.
+        ({}, [BEGAN, replace(ANSWER, told=False), GUESS], {"#flags li + li": "A pat", "#flags .changed": ""}),
+        ({}, [BEGAN, GUESS, ENDED], dict.fromkeys(NAMED, "A pat, perhaps?")),
+        ({"language": "de"}, [BEGAN, GUESS, ENDED], dict.fromkeys(NAMED, "Tätscheln?")),
+        # Its confidence is another gesture's.
+        ({}, [BEGAN, UNSURE, ENDED], dict.fromkeys(NAMED, "not sure")),
+    ],
+)
+def test_the_page_says_what_happened(
+    chrome: Chrome, settings: dict[str, Any], events: list[Event], texts: dict[str, str]
+) -> None:
+    def is_shown(selector: str, text: str) -> bool:
+        found = " ".join(texts_of(chrome, selector))
+        return text in found if text else not found
+
+    show_in(chrome, 1280, 800)
+    with showing(chrome, *events, **settings):
+        wait_for(lambda: all(itertools.starmap(is_shown, texts.items())))
+        if "not sure" in text_of(chrome, "#gesture"):
+            assert "%" not in " ".join(texts_of(chrome, "#answer, #flags, #touches"))
 
 
 # The longest words that a lab may have chosen.
@@ -492,7 +521,7 @@ def look_at(chrome: Chrome, served: Served, anchor: str = "") -> None:
     wait_for(lambda: len(texts_of(chrome, "#flags li")) == 3)
 
 
-SIZES = ((1280, 800), (800, 600), (390, 844), (390, 664), (360, 640), (667, 375), (844, 390))
+SIZES = ((1280, 800), (1920, 1080), (800, 600), (390, 844), (390, 664), (360, 640), (667, 375), (844, 390))
 # The colour scheme hardly affects the layout, so the quick suite alternates between schemes.
 LOOKS = [
     pytest.param(*size, scheme, marks=pytest.mark.slow if (number + dark) % 2 else [])
@@ -510,6 +539,7 @@ def test_nothing_overflows_with_the_longest_words(
     for anchor in ("", "#visitors"):
         look_at(chrome, worded, anchor)
         wait_for(lambda: chrome.execute_script(OUTSIDE) == [], SOON_S)
+        assert chrome.execute_script(BEYOND) <= 0
         assert chrome.execute_script("return document.documentElement.scrollWidth") <= width
         if anchor or min(width, height) >= 600:
             assert chrome.execute_script("return document.documentElement.scrollHeight") <= height
@@ -519,30 +549,6 @@ def test_nothing_overflows_with_the_longest_words(
     for other in ("#pad", "#line", "#answer"):
         assert not chrome.execute_script(COVERS, "#legend", other), other
         assert not chrome.execute_script(COVERS, "#enter", other), other
-
-
-def test_the_widest_name_stays_within_its_column(chrome: Chrome) -> None:
-    try:
-        with serving(language="de") as served:
-            put_a_touch(served, ["constant", "constant", "constant"])
-            for width, height in SIZES:
-                show_in(chrome, width, height)
-                for anchor in ("", "#visitors"):
-                    look_at(chrome, served, anchor)
-                    assert text_of(chrome, "#gesture") == "ruhende Hand"
-                    assert chrome.execute_script(BEYOND) <= 0, (width, height, anchor)
-    finally:
-        show_in(chrome, 1280, 800)
-
-
-def test_two_pads_fit_a_window(chrome: Chrome) -> None:
-    pads = {"head": PadSettings(port="a"), "arm": PadSettings(port="b")}
-    show_in(chrome, 1280, 800)
-    with serving(sensors=pads) as served:
-        chrome.get(f"http://127.0.0.1:{served.port}/")
-        wait_for(lambda: len(chrome.find_elements(By.CSS_SELECTOR, "#pads button")) == 2)
-        served.put_frame(pad="head")
-        assert chrome.execute_script("return document.documentElement.scrollHeight") <= 800
 
 
 def test_visitors_on_a_phone_find_the_way_out(chrome: Chrome, worded: Served) -> None:
@@ -556,50 +562,12 @@ def test_visitors_on_a_phone_find_the_way_out(chrome: Chrome, worded: Served) ->
     assert chrome.find_element(By.ID, "vitals").is_displayed()
 
 
-def test_an_unsure_answer_shows_no_percentage(chrome: Chrome) -> None:
-    with serving() as served:
-        put_a_touch(served, ["uncertain", "uncertain", "uncertain"])
-        look_at(chrome, served)
-        wait_for(lambda: text_of(chrome, "#gesture") == "not sure")
-        served.sink.put(TouchEnded(touch=1, gesture="uncertain", frames=150, reason="released", time=TIME))
-        served.put_frame()
-        wait_for(lambda: listed(chrome) == ["not sure"])
-        shown = " ".join(text_of(chrome, name) for name in ("#answer", "#flags", "#touches"))
-        assert "not sure" in shown
-        assert "%" not in shown
-
-
-def test_a_flag_stands_where_its_answer_was_said(chrome: Chrome) -> None:
-    show_in(chrome, 1280, 800)
-    with serving(robot=RobotSettings(url="tcp://127.0.0.1:1")) as served:
-        chrome.get(f"http://127.0.0.1:{served.port}/")
-        wait_for(lambda: text_of(chrome, "#gesture") == "Touch the pad")
-        served.sink.put(RobotEvent(state="up", time=TIME))
-        served.sink.put(TouchBegan(touch=1, time=TIME, sensor_ms=0))
-        late = {"stage": "released", "gesture": "stroke", "frames": 32, "elapsed_s": 0.6, "age_ms": 900.0}
-        served.sink.put(replace(PREDICTION, touch=1, **late))
-        served.put_frame()
-        wait_for(lambda: len(texts_of(chrome, "#flags li")) == 1)
-        assert text_of(chrome, "#flags small") == "saw 0.6 s, told at 1.5 s ✓"
-        assert text_of(chrome, "#certainty").endswith("saw 0.6 s")
-        assert text_of(chrome, "#remark") == "told the robot at 1.5 s"
-        flag, mark = (
-            lefts_and_rights(chrome, f"#{name}")[0] for name in ("flags li", "marks li:nth-child(2)")
-        )
-        assert flag[0] == pytest.approx(mark[0], abs=1)
-
-
 @pytest.mark.parametrize("size", [(1600, 900), (844, 390), (390, 844)])
 @pytest.mark.parametrize("said_s", [0.7, 2.19, 3.6])
 def test_a_guess_stands_at_its_moment(chrome: Chrome, size: tuple[int, int], said_s: float) -> None:
     show_in(chrome, *size)
-    with serving() as served:
-        chrome.get(f"http://127.0.0.1:{served.port}/")
-        wait_for(lambda: text_of(chrome, "#gesture") == "Touch the pad")
-        served.sink.put(TouchBegan(touch=1, time=TIME, sensor_ms=0))
-        guess = UNSURE | {"perhaps": "scratch", "elapsed_s": said_s - 0.56, "age_ms": 560.0}
-        served.sink.put(replace(PREDICTION, **guess))
-        served.put_frame()
+    guess = replace(GUESS, perhaps="scratch", elapsed_s=said_s - 0.56, age_ms=560.0)
+    with showing(chrome, BEGAN, guess):
         wait_for(lambda: len(texts_of(chrome, "#flags li")) == 1)
         ((left, right),) = lefts_and_rights(chrome, "#flags li")
         ((first, last),) = lefts_and_rights(chrome, "#flags")
@@ -608,38 +576,6 @@ def test_a_guess_stands_at_its_moment(chrome: Chrome, size: tuple[int, int], sai
         assert first <= left + 1
         assert right - 1 <= last
     show_in(chrome, 1280, 800)
-
-
-@pytest.mark.parametrize("is_told", [True, False])
-def test_only_a_told_answer_was_there_before(chrome: Chrome, is_told: bool) -> None:
-    with serving() as served:
-        chrome.get(f"http://127.0.0.1:{served.port}/")
-        wait_for(lambda: text_of(chrome, "#gesture") == "Touch the pad")
-        served.sink.put(TouchBegan(touch=1, time=TIME, sensor_ms=0))
-        served.sink.put(replace(PREDICTION, touch=1, gesture="rub", told=is_told))
-        # It saw as much as the answer before.
-        served.sink.put(replace(PREDICTION, **UNSURE))
-        served.put_frame()
-        wait_for(lambda: len(texts_of(chrome, "#flags li")) == 2)
-        assert text_of(chrome, "#remark").startswith("↻ before: rub") == is_told
-        assert len(texts_of(chrome, "#flags .changed")) == is_told
-
-
-UNSURE = {"touch": 1, "stage": "uncertain", "gesture": "uncertain", "perhaps": "pat"}
-
-
-def test_a_guess_stays_on_the_page(chrome: Chrome) -> None:
-    for language, guess in (("en", "A pat, perhaps?"), ("de", "Tätscheln?")):
-        with serving(language=language) as served:
-            chrome.get(f"http://127.0.0.1:{served.port}/")
-            wait_for(lambda: text_of(chrome, "#gesture") == "Touch the pad")
-            served.sink.put(TouchBegan(touch=1, time=TIME, sensor_ms=0))
-            served.sink.put(replace(PREDICTION, **UNSURE))
-            served.sink.put(TouchEnded(touch=1, gesture="uncertain", frames=5, reason="released", time=TIME))
-            served.put_frame()
-            wait_for(lambda guess=guess: listed(chrome) == [guess])
-            assert text_of(chrome, "#gesture") == guess
-            assert text_of(chrome, "#flags .name") == guess
 
 
 # Texts of the page in which a configured word, in brackets, stands beside letters other than those of times.
@@ -734,6 +670,7 @@ def test_another_pad_can_be_selected(chrome: Chrome) -> None:
     with serving(sensors=pads) as served:
         chrome.get(f"http://127.0.0.1:{served.port}/")
         wait_for(lambda: choices() == [("head", "true"), ("arm", "false")])
+        assert chrome.execute_script("return document.documentElement.scrollHeight <= innerHeight")
         rest, pressed = np.zeros((8, 8), np.uint16), np.full((8, 8), 500, np.uint16)
         for pad, gesture in (("head", "pat"), ("arm", "stroke")):
             served.sink.put(SensorEvent(state="up", time=TIME, pad=pad))

@@ -208,9 +208,10 @@ def test_the_hand_goes_on_when_nobody_touches(fake_pad: FakePad) -> None:
     wait_for(lambda: invitation.text == "Touch here", fake_hand.ALONE_S + SOON_S)
 
 
-def test_nobody_can_touch_the_page_of_the_daemon(served: Served) -> None:
+def test_nobody_can_touch_or_label_on_a_page_that_is_not_asked_to(served: Served) -> None:
     with served.look() as viewer:
-        assert json.loads(viewer.recv(timeout=WITHIN_S))["touchable"] is False
+        state = json.loads(viewer.recv(timeout=WITHIN_S))
+        assert (state["touchable"], state["may_label"]) == (False, False)
         viewer.send(TOUCH)
         with pytest.raises(ConnectionClosed, match="nothing is read here"):
             viewer.recv(timeout=WITHIN_S)
