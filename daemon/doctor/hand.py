@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rich.console import Console, Group
 from rich.live import Live
 
-from touchd.daemon.view.pad_picture import pad_picture, palette_for
+from touchd.daemon.view.pad_picture import pad_picture
 from touchd.drivers.frame import COLUMNS, ROWS
 from touchd.drivers.pad.format import LONGEST_SIDE, SHORTEST_SIDE, PadFormat
 from touchd.drivers.pad.parser import FrameParser
@@ -213,7 +213,6 @@ def _corner_where_held(held: Sequence[tuple[float, float, float]]) -> tuple[bool
 def _follows(console: Console, opened: Line, described: PadFormat) -> bool:
     """Show the pad and ask whether the picture follows the hand; return the answer."""
     parser = FrameParser(described)
-    palette = palette_for(console)
     rest: NDArray[np.float64] | None = None
     shown_s = 0.0
     console.print("Move your hand on the pad. Does the picture follow it? [Y/n] ", style="cyan")
@@ -224,5 +223,5 @@ def _follows(console: Console, opened: Line, described: PadFormat) -> bool:
                 rest = now if rest is None else np.minimum(rest + 0.05, now)
                 if time.monotonic() - shown_s > SHOW_EVERY_S:
                     shown_s = time.monotonic()
-                    live.update(Group(*pad_picture(now - rest, PICTURE_SCALE, palette)), refresh=True)
+                    live.update(Group(*pad_picture(now - rest, PICTURE_SCALE, console)), refresh=True)
     return not sys.stdin.readline().strip().lower().startswith("n")

@@ -29,7 +29,7 @@ from touchd.daemon.record.capture import (
 from touchd.daemon.record.session import Session, Take
 from touchd.daemon.sinks.touch_store import description_of
 from touchd.daemon.view.elements import big
-from touchd.daemon.view.pad_picture import pad_picture, palette_for
+from touchd.daemon.view.pad_picture import pad_picture
 from touchd.daemon.view.terminal import Stopped, ask, listening
 from touchd.drivers.frame import COLUMNS, NO_TOUCH, OTHER, ROWS, Counts, Frame
 from touchd.drivers.pad.clock import pace_of
@@ -265,7 +265,6 @@ class Dialogue:
 @contextmanager
 def progress(console: Console) -> Iterator[Show]:
     """Draw the pad and the progress, and erase them at the end; draws nothing without a terminal."""
-    palette = palette_for(console)
     rest = np.full((ROWS, COLUMNS), np.inf)
     shown = ("", 0.0, 1.0, np.zeros((ROWS, COLUMNS)))
 
@@ -281,7 +280,7 @@ def progress(console: Console) -> Iterator[Show]:
         left = Text(f"{step}, {math.ceil(length_s - elapsed_s)} s")
         bar = ProgressBar(total=length_s, completed=elapsed_s, width=width)
         grid = Table.grid(padding=(1, GAP))
-        grid.add_row(Group(*pad_picture(pressure, PAD_SCALE, palette)), Group(*words, "", left, bar))
+        grid.add_row(Group(*pad_picture(pressure, PAD_SCALE, console)), Group(*words, "", left, bar))
         return grid
 
     with Live(get_renderable=draw, console=console, transient=True, refresh_per_second=REFRESH_HZ):

@@ -6,8 +6,21 @@ from typing import NamedTuple
 from rich.style import Style
 from rich.text import Text
 
-from touchd.daemon.view.pad_picture import Palette, joined
+from touchd.daemon.view.pad_picture import joined
 
+# The page's dark theme. rich leaves the colours out where the terminal has none.
+PAPER = Style.parse("on #0c0f13")
+INK = Style.parse("#f3f5f8 on #0c0f13")
+MUTED = Style.parse("#aab4c2 on #0c0f13")
+FAINT = Style.parse("#5d6877 on #0c0f13")
+ACCENT = Style.parse("#7cc4ff on #0c0f13")
+CHANGED = Style.parse("#ffb65c on #0c0f13")
+ROBOT = Style.parse("#9be7c4 on #0c0f13")
+BAD = Style.parse("#ff9a9a on #0c0f13")
+RAIL = Style.parse("#2b323d on #0c0f13")
+TRACE = Style.parse("#2f5d80 on #0c0f13")
+ACCENT_FLAG = Style.parse("#f3f5f8 on #17364f")
+CHANGED_FLAG = Style.parse("#ffb65c on #3b2a12")
 LETTER_ROWS = 5
 # Five rows a letter, from top to bottom; a dot is empty.
 LETTERS = {
@@ -51,8 +64,6 @@ PERCENT_WIDTH = 6
 SHORTEST_S, AFTER_FINAL = 4.0, 1.5
 # Sum of counts at full height, unless the touch is firmer.
 LIGHT_LOAD = 600.0
-# From this width on, every mark shows its unit.
-ROOMY = 40
 STEPS = " ▁▂▃▄▅▆▇█"
 
 Cells = list[list[tuple[str, Style]]]
@@ -79,11 +90,7 @@ def big(word: str, width: int) -> list[str]:
 
 
 def bars(
-    names: Mapping[str, str],
-    shares: Mapping[str, float],
-    stands: str,
-    size: tuple[int, int],
-    palette: Palette,
+    names: Mapping[str, str], shares: Mapping[str, float], stands: str, size: tuple[int, int]
 ) -> list[Text]:
     """Return one bar for each gesture, only the likeliest where (width, height) has no room for all.
 
@@ -99,13 +106,13 @@ def bars(
         eighths = round((share or 0.0) * room * 8)
         bar = "█" * (eighths // 8) + EIGHTHS[eighths % 8].strip()
         is_answer = gesture == stands
-        style = palette.ink if is_answer else palette.muted
+        style = INK if is_answer else MUTED
         number = "-" if share is None else f"{share:.0%}"
         lines.append(
             Text.assemble(
                 (f"{names[gesture][:name_width]:<{name_width}} ", style),
-                (bar, palette.accent if is_answer else palette.muted),
-                ("─" * (room - len(bar)), palette.rail),
+                (bar, ACCENT if is_answer else MUTED),
+                ("─" * (room - len(bar)), RAIL),
                 (f"{number:>{PERCENT_WIDTH}}", style),
             )
         )
@@ -125,7 +132,6 @@ def time_line(
     marks_s: Sequence[float],
     flags: Sequence[Flag],
     size: tuple[int, int],
-    palette: Palette,
 ) -> list[Text]:
     """Return pressure, marks and answers in (width, height) characters; the last line labels the marks.
 
@@ -133,22 +139,22 @@ def time_line(
     """
     width, height = size
     end_s = max(SHORTEST_S, marks_s[-1] * AFTER_FINAL)
-    cells: Cells = [[(" ", palette.paper)] * width for _ in range(height - 1)]
-    _draw_trace(cells, trace, end_s, palette)
+    cells: Cells = [[(" ", PAPER)] * width for _ in range(height - 1)]
+    _draw_trace(cells, trace, end_s)
     reached_s = trace[-1][0] if trace else 0.0
     for mark_s in marks_s:
-        mark = ("│", palette.muted) if reached_s >= mark_s else ("┊", palette.rail)
+        mark = ("│", MUTED) if reached_s >= mark_s else ("┊", RAIL)
         for row in cells:
             row[_column(mark_s, end_s, width)] = mark
-    _draw_flags(cells, flags, end_s, palette)
-    return [*map(joined, cells), Text(_labels(marks_s, end_s, width), palette.muted)]
+    _draw_flags(cells, flags, end_s)
+    return [*map(joined, cells), Text(_labels(marks_s, end_s, width), MUTED)]
 
 
 def _column(at_s: float, end_s: float, width: int) -> int:
     return min(int(at_s / end_s * width), width - 1)
 
 
-def _draw_trace(cells: Cells, trace: Sequence[tuple[float, float]], end_s: float, palette: Palette) -> None:
+def _draw_trace(cells: Cells, trace: Sequence[tuple[float, float]], end_s: float) -> None:
     rows, width = len(cells), len(cells[0])
     loads: dict[int, float] = {}
     for at_s, load in trace:
@@ -162,10 +168,10 @@ def _draw_trace(cells: Cells, trace: Sequence[tuple[float, float]], end_s: float
         for row in range(rows):
             step = min(max(eighths - 8 * (rows - 1 - row), 0), 8)
             if step:
-                cells[row][column] = (STEPS[step], palette.trace)
+                cells[row][column] = (STEPS[step], TRACE)
 
 
-def _draw_flags(cells: Cells, flags: Sequence[Flag], end_s: float, palette: Palette) -> None:
+def _draw_flags(cells: Cells, flags: Sequence[Flag], end_s: float) -> None:
     """Put each flag into the highest free row."""
     rows, width = len(cells), len(cells[0])
     taken: list[tuple[int, int, int]] = []
@@ -181,18 +187,18 @@ def _draw_flags(cells: Cells, flags: Sequence[Flag], end_s: float, palette: Pale
         )
         row = next(free, rows - 1)
         taken.append((row, first, last))
-        style = palette.changed_flag if flag.changed else palette.accent_flag
-        pole = style + Style(color=(palette.changed if flag.changed else palette.accent).color)
+        style = CHANGED_FLAG if flag.changed else ACCENT_FLAG
+        pole = style + Style(color=(CHANGED if flag.changed else ACCENT).color)
         cell = [(character, style) for character in text]
         cells[row][first:last] = [*cell, ("▐", pole)] if is_left else [("▌", pole), *cell]
 
 
 def _labels(marks_s: Sequence[float], end_s: float, width: int) -> str:
-    line = [" "] * width
+    line = " " * width
     # The last label first: where there is room for one alone, it names the end.
     for mark_s in (marks_s[-1], *marks_s[:-1]):
-        text = f"{mark_s:.3g} s" if width >= ROOMY or mark_s == marks_s[-1] else f"{mark_s:.3g}"
+        text = f" {mark_s:.3g} s "
         start = min(max(_column(mark_s, end_s, width) - len(text) // 2, 0), width - len(text))
-        if not "".join(line[max(start - 1, 0) : start + len(text) + 1]).strip():
-            line[start : start + len(text)] = text
-    return "".join(line)
+        if not line[start : start + len(text)].strip():
+            line = line[:start] + text + line[start + len(text) :]
+    return line

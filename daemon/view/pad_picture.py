@@ -1,7 +1,6 @@
 """The pad in half blocks, so that taxels are square, in the live page's colours."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from functools import cache
 from itertools import groupby
 
@@ -17,65 +16,30 @@ from touchd.drivers.frame import COLUMNS
 LIGHT_COUNTS = 4.0
 FIRM_COUNTS = 250.0
 # The page's dark theme, which rich turns into the terminal's colours; from no pressure to firm.
-PAPER = "on #0c0f13"
 HEAT = ("#171c24", "#42249a", "#85248a", "#d04361", "#f9903f", "#fdf4b5")
 SHADES = 64
 # Without colours.
 CHARACTERS = " ·:-=+*#%@"
-COLOURS = {
-    "ink": "#f3f5f8",
-    "muted": "#aab4c2",
-    "faint": "#5d6877",
-    "accent": "#7cc4ff",
-    "changed": "#ffb65c",
-    "robot": "#9be7c4",
-    "bad": "#ff9a9a",
-    "accent_flag": "#f3f5f8 on #17364f",
-    "changed_flag": "#ffb65c on #3b2a12",
-    "rail": "#2b323d",
-    "trace": "#2f5d80",
-}
 
 
-@dataclass(frozen=True)
-class Palette:
-    """All styles. heat: from no pressure to firm, empty without colours."""
-
-    paper: Style
-    ink: Style
-    muted: Style
-    faint: Style
-    accent: Style
-    changed: Style
-    robot: Style
-    bad: Style
-    accent_flag: Style
-    changed_flag: Style
-    rail: Style
-    trace: Style
-    heat: tuple[str, ...]
-
-
-def palette_for(console: Console) -> Palette:
-    """Return the palette for a console, with or without colours."""
+def heat_of(console: Console) -> tuple[str, ...]:
+    """Return the colours from no pressure to firm, none for a console without colours."""
     # With NO_COLOR rich keeps the colour system and drops the colours.
-    has_colours = console.color_system is not None and not console.no_color
-    paper = Style.parse(PAPER if has_colours else "")
-    styles = {name: paper + Style.parse(colour if has_colours else "") for name, colour in COLOURS.items()}
-    return Palette(paper=paper, heat=_between(HEAT) if has_colours else (), **styles)
+    return _between(HEAT) if console.color_system is not None and not console.no_color else ()
 
 
-def pad_picture(pressure: NDArray[np.float64], scale: int, palette: Palette) -> list[Text]:
+def pad_picture(pressure: NDArray[np.float64], scale: int, console: Console) -> list[Text]:
     """Return (8, 8) counts above rest as 4 * scale lines of 8 * scale characters."""
+    heat = heat_of(console)
     levels = np.log1p(np.maximum(pressure, 0.0) / LIGHT_COUNTS) / np.log1p(FIRM_COUNTS / LIGHT_COUNTS)
     weights = _weights(scale)
     pixels = np.clip(weights @ levels @ weights.T, 0.0, 1.0)
-    if not palette.heat:
+    if not heat:
         at = np.minimum((pixels[::2] * len(CHARACTERS)).astype(int), len(CHARACTERS) - 1)
         return [Text("".join(CHARACTERS[i] for i in row)) for row in at.tolist()]
-    shades = np.rint(pixels * (len(palette.heat) - 1)).astype(int).tolist()
+    shades = np.rint(pixels * (len(heat) - 1)).astype(int).tolist()
     return [
-        joined(("▀", _halves(palette.heat[a], palette.heat[b])) for a, b in zip(upper, lower, strict=True))
+        joined(("▀", _halves(heat[a], heat[b])) for a, b in zip(upper, lower, strict=True))
         for upper, lower in zip(shades[::2], shades[1::2], strict=True)
     ]
 

@@ -33,23 +33,35 @@ from touchd.daemon.robot.words import Vocabulary, name_of
 from touchd.daemon.sinks.labels import LabelError, Labeller, keys_of
 from touchd.daemon.sinks.touches import ReportedTouch
 from touchd.daemon.view.describe import describe
-from touchd.daemon.view.elements import Flag, bars, big, time_line
-from touchd.daemon.view.pad_picture import pad_picture, palette_for
+from touchd.daemon.view.elements import (
+    ACCENT,
+    BAD,
+    CHANGED,
+    FAINT,
+    INK,
+    MUTED,
+    PAPER,
+    ROBOT,
+    Flag,
+    bars,
+    big,
+    time_line,
+)
+from touchd.daemon.view.pad_picture import heat_of, pad_picture
 from touchd.drivers.frame import COLUMNS, DEFAULT_PAD, FRAME_RATE_HZ, ROWS, Counts, Frame
 
 REFRESH_HZ = 12
 TOUCHES = 12
-NOTES = 50
 # Time constant of the rest in frames, and four times the noise in counts, as on the live page.
 REST_FRAMES = 54
 NOISE_COUNTS = 3.0
 # A touch begins this many frames before it is detected.
 LATE_FRAMES = 3
 LONGEST_TRACE = 60 * 54
-NARROWEST, LOWEST = 40, 16
-LEAST_COLUMNS, LEAST_ROWS = 20, 6
-# Minimum heights for large letters, and for a card beside the pad.
-LOW, LEAST_CARD_ROWS = 18, 17
+# A smaller terminal shows a part of the picture.
+LEAST_COLUMNS, LEAST_ROWS = 60, 18
+# Minimum height for a pad above a card.
+LEAST_CARD_ROWS = 17
 # Room for bars before the first answer.
 FEWEST_BARS = 7
 LARGEST_SCALE = 8
@@ -95,7 +107,6 @@ class View:
         self._card = card.splitlines()
         self._shown_pad = pad
         self._console = console or Console()
-        self._palette = palette_for(self._console)
         self._lock = threading.Lock()
         self._rest: NDArray[np.float64] | None = None
         self._pressure = np.zeros((ROWS, COLUMNS))
@@ -107,7 +118,7 @@ class View:
         self._states = {"pad": "awaited"}
         self._said_by_robot = ""
         self._doing = ""
-        self._notes: deque[tuple[str, bool]] = deque(maxlen=NOTES)
+        self._note, self._is_note_bad = "", False
         self.labeller: Labeller | None = None
         self.is_watched = True
         self._live = Live(
@@ -145,7 +156,7 @@ class View:
 
     def note(self, text: str, is_bad: bool = False) -> None:
         with self._lock:
-            self._notes.append((text, is_bad))
+            self._note, self._is_note_bad = text, is_bad
 
     def log(self, record: logging.LogRecord) -> None:
         """Show a line of the log, since on standard error it would corrupt the view."""
@@ -200,10 +211,8 @@ class View:
                     self._said_by_robot = f"“{event.what}”"
                 case RobotAction(action="behavior"):
                     self._said_by_robot = event.what
-        if isinstance(event, SensorEvent | RobotEvent):
-            self.note(describe(event, self._words), event.state != "up")
-        elif isinstance(event, Label):
-            self.note(describe(event, self._words))
+        if isinstance(event, SensorEvent | RobotEvent | Label):
+            self.note(describe(event, self._words), getattr(event, "state", "up") != "up")
 
     def stop(self, timeout_s: float = 0.0) -> None:
         """Restore the terminal, if it is still there."""
@@ -224,25 +233,21 @@ class View:
         """Yield the picture at the size of the terminal."""
         width, height = console.size
         with self._lock:
-            # In a smaller terminal, the picture is cut off.
             lines = self._draw(max(width, LEAST_COLUMNS), max(height, LEAST_ROWS))
-        whole = Text("\n", self._palette.paper, no_wrap=True, overflow="crop", end="")
+        whole = Text("\n", PAPER, no_wrap=True, overflow="crop", end="")
         yield whole.join(_fitted(lines, width, height))
 
     def _draw(self, width: int, height: int) -> list[Text]:
-        keys = self._keys_lines(width) if height >= LOWEST else []
+        keys = self._keys_lines(width)
         notes = self._note_lines(width - 2, max(1, min(height // 8, NOTE_ROWS)))
         body = height - 2 - len(keys) - len(notes)
         has_card = bool(self._card) and body - len(self._card) >= LEAST_CARD_ROWS
         pad_rows = body - 1 - (len(self._card) + 1 if has_card else 0)
-        scale = min((width * 9 // 20) // COLUMNS, pad_rows // 4, LARGEST_SCALE)
-        left_width, left = 0, [Text()] * body
-        if width >= NARROWEST and height >= LOWEST and scale >= 2:
-            left_width = COLUMNS * scale + GAP
-            left = _fitted(self._left(scale, COLUMNS * scale, body), left_width, body)
-        right = self._right(width - 2 - left_width, body)
-        right += [Text()] * (body - len(right))
-        lines = [Text.assemble(" ", *both) for both in zip(left, right, strict=False)]
+        scale = max(2, min((width * 9 // 20) // COLUMNS, pad_rows // 4, LARGEST_SCALE))
+        left_width = COLUMNS * scale + GAP
+        left = _fitted(self._left(scale, COLUMNS * scale, body), left_width, body)
+        right = _fitted(self._right(width - 2 - left_width, body), width - 2 - left_width, body)
+        lines = [Text.assemble(" ", *both) for both in zip(left, right, strict=True)]
         return [self._header(width), *lines, *keys, self._robot_line(), *notes]
 
     def _going_on(self) -> ShownTouch | None:
@@ -250,69 +255,61 @@ class View:
         return touch if touch is not None and touch.ended is None else None
 
     def _header(self, width: int) -> Text:
-        palette = self._palette
         vitals = Text()
         for name, state in self._states.items():
-            style = {"up": palette.accent, "awaited": palette.muted}.get(state, palette.bad)
-            vitals.append(f"  {'●' if state == 'up' else '○'} ", style).append(
-                f"{name} {state}", palette.muted
-            )
-        title = Text.assemble((" touchd", palette.ink + BOLD), (f"  {self._title}", palette.muted))
+            style = {"up": ACCENT, "awaited": MUTED}.get(state, BAD)
+            vitals.append(f"  {'●' if state == 'up' else '○'} ", style).append(f"{name} {state}", MUTED)
+        title = Text.assemble((" touchd", INK + BOLD), (f"  {self._title}", MUTED))
         title.truncate(max(width - vitals.cell_len - 1, 0), overflow="crop", pad=True)
         return title.append_text(vitals)
 
     def _left(self, scale: int, width: int, height: int) -> list[Text]:
-        palette = self._palette
-        lines = pad_picture(self._pressure, scale, palette)
+        lines = pad_picture(self._pressure, scale, self._console)
         if len(lines) < height:
             lines.append(self._scale_line(width))
         if self._card and height - len(lines) > len(self._card):
             lines += [Text(), *(Text(line, "#ffffff on #000000") for line in self._card)]
         if height - len(lines) >= 2:
-            lines.append(Text("Last touches", palette.muted))
+            lines.append(Text("Last touches", MUTED))
             ended = [touch for touch in reversed(self._touches) if touch.ended is not None]
             lines += [self._last_touch(touch) for touch in ended[: height - len(lines)]]
         return lines
 
     def _scale_line(self, width: int) -> Text:
-        palette = self._palette
-        room = width - len("light  firm")
-        line = Text("light ", palette.muted)
+        room, heat = width - len("light  firm"), heat_of(self._console)
+        line = Text("light ", MUTED)
         for at in range(room):
-            shade = palette.heat[at * len(palette.heat) // room] if palette.heat else ""
-            line.append("▄" if shade else " ", palette.paper + Style.parse(shade))
-        return line.append(" firm", palette.muted)
+            shade = heat[at * len(heat) // room] if heat else ""
+            line.append("▄" if shade else " ", PAPER + Style.parse(shade))
+        return line.append(" firm", MUTED)
 
     def _last_touch(self, touch: ShownTouch) -> Text:
-        palette = self._palette
         changes = list(dict.fromkeys(said.gesture for said in touch.predictions if said.told))
         name = self._name(touch.ended.gesture) if touch.ended else ""
-        line = Text.assemble((f"{name} ", palette.ink + BOLD), (f"{touch.length_s:.1f} s", palette.muted))
+        line = Text.assemble((f"{name} ", INK + BOLD), (f"{touch.length_s:.1f} s", MUTED))
         if len(changes) > 1:
             names = ", ".join(self._name(gesture) for gesture in changes[:-1])
-            line.append(f" ↻ {names} before", palette.changed)
+            line.append(f" ↻ {names} before", CHANGED)
         if touch.label:
-            line.append(f" = {self._name(touch.label)}", palette.ink)
+            line.append(f" = {self._name(touch.label)}", INK)
         return line
 
     def _right(self, width: int, height: int) -> list[Text]:
-        palette = self._palette
         touch = self._touches[-1] if self._touches else None
         is_touched = self._going_on() is not None
         word, style = self._answer(touch)
-        letters = big(word, width) if height >= LOW else [word]
-        lines = [Text(self._which(touch), palette.muted), *(Text(row, style + BOLD) for row in letters)]
+        lines = [Text(self._which(touch), MUTED), *(Text(row, style + BOLD) for row in big(word, width))]
         lines += self._remarks(touch)
         flags = [self._flag(touch, at) for at in range(len(touch.predictions))] if touch else []
         room_for_bars = min(max(len(self._labels), FEWEST_BARS), max(height - 12, 3))
         line_height = height - len(lines) - room_for_bars
         if line_height >= 3:
             trace = list(touch.trace) if touch else []
-            lines += time_line(trace, self._marks_s, flags, (width, line_height), palette)
+            lines += time_line(trace, self._marks_s, flags, (width, line_height))
         answer = touch.predictions[-1] if touch and touch.predictions and is_touched else None
         shown = (self._now or answer) if is_touched else None
         shares, stands = shown.probabilities if shown else {}, answer.gesture if answer else ""
-        return lines + bars(self._labels, shares, stands, (width, room_for_bars), palette)
+        return lines + bars(self._labels, shares, stands, (width, room_for_bars))
 
     def _which(self, touch: ShownTouch | None) -> str:
         if touch is None:
@@ -321,36 +318,34 @@ class View:
         return f"{which} {touch.began.touch} · {touch.length_s:.1f} s"
 
     def _answer(self, touch: ShownTouch | None) -> tuple[str, Style]:
-        palette = self._palette
         if touch is None or (touch.ended is not None and not touch.predictions):
-            return "no pad" if self._states["pad"] == "down" else "touch me", palette.faint
+            return "no pad" if self._states["pad"] == "down" else "touch me", FAINT
         if not touch.predictions:
-            return "...", palette.faint
+            return "...", FAINT
         word = self._name(touch.predictions[-1].gesture)
         if touch.ended is not None:
-            return word, palette.muted
-        return word, palette.changed if self._before(touch, len(touch.predictions) - 1) else palette.accent
+            return word, MUTED
+        return word, CHANGED if self._before(touch, len(touch.predictions) - 1) else ACCENT
 
     def _remarks(self, touch: ShownTouch | None) -> list[Text]:
-        palette = self._palette
         if touch is None or not touch.predictions:
             return [Text(), Text()]
         answer = touch.predictions[-1]
         after = f"after {answer.elapsed_s:.3g} s"
-        sure = Text(after, palette.ink)
+        sure = Text(after, INK)
         # Of an unsure answer the confidence is the likeliest gesture's.
         if answer.gesture != UNCERTAIN:
-            share = (f"{answer.confidence:.0%}", palette.ink + BOLD)
-            sure = Text.assemble(share, (f" sure, {after}", palette.ink))
+            share = (f"{answer.confidence:.0%}", INK + BOLD)
+            sure = Text.assemble(share, (f" sure, {after}", INK))
         remark = Text()
         if before := self._before(touch, len(touch.predictions) - 1):
-            remark.append(f"↻ was {before} · ", palette.changed)
+            remark.append(f"↻ was {before} · ", CHANGED)
         told = [said for said in touch.predictions if said.told and said.gesture == answer.gesture]
         status = f"told after {told[0].elapsed_s:.3g} s" if told else "not sure enough to tell"
-        remark.append(status, palette.muted)
+        remark.append(status, MUTED)
         likeliest = max(answer.probabilities, key=lambda label: answer.probabilities[label])
         if likeliest != answer.gesture and answer.gesture in answer.probabilities:
-            remark.append(f" · {self._name(likeliest)} is likelier now", palette.muted)
+            remark.append(f" · {self._name(likeliest)} is likelier now", MUTED)
         return [sure, remark]
 
     def _flag(self, touch: ShownTouch, at: int) -> Flag:
@@ -368,20 +363,18 @@ class View:
         return self._name(earlier[-1]) if said.changed and earlier else ""
 
     def _robot_line(self) -> Text:
-        palette = self._palette
         if not self._said_by_robot:
             return Text()
-        return Text.assemble((" Robot ", palette.muted), (self._said_by_robot, palette.robot + BOLD))
+        return Text.assemble((" Robot ", MUTED), (self._said_by_robot, ROBOT + BOLD))
 
     def _keys_lines(self, width: int) -> list[Text]:
         """Return which key says what the touch on the screen was; blank lines while there is no touch."""
-        palette = self._palette
         if self.labeller is None:
             return []
         touch = self._touches[-1] if self._touches else None
-        lines = [Text(" It was: ", palette.muted)]
+        lines = [Text(" It was: ", MUTED)]
         for key, gesture in keys_of(self.labeller.gestures[self._shown_pad]).items():
-            style = palette.accent if touch and gesture == touch.label else palette.ink
+            style = ACCENT if touch and gesture == touch.label else INK
             entry = Text.assemble((key, style + BOLD), (f" {self._name(gesture)}  ", style))
             # A line ends with two blanks that may be cut off.
             if lines[-1].cell_len + entry.cell_len > width + 2:
@@ -392,12 +385,11 @@ class View:
     def _note_lines(self, width: int, most: int) -> list[Text]:
         """Return what is going on and the latest note, wrapped to `width` and cut after `most` rows."""
         doing = f" {self._doing} " if self._doing else ""
-        text, is_bad = self._notes[-1] if self._notes else ("", False)
         wrap = textwrap.TextWrapper(width, max_lines=most, placeholder=" …", break_on_hyphens=False)
-        rows = wrap.wrap(" " * len(doing) + text) or [""]
-        style = self._palette.bad if is_bad else self._palette.faint
+        rows = wrap.wrap(" " * len(doing) + self._note) or [""]
+        style = BAD if self._is_note_bad else FAINT
         lines = [Text(f" {row}", style) for row in rows]
-        lines[0] = Text.assemble((doing, self._palette.ink), (f" {rows[0][len(doing) :]}", style))
+        lines[0] = Text.assemble((doing, INK), (f" {rows[0][len(doing) :]}", style))
         return lines
 
     def _name_labels(self, labels: Iterable[str]) -> None:
