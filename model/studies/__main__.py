@@ -25,7 +25,7 @@ STUDIES = {
     "decision": ("studies.decision", "decision.md: how early the robot is told, and how often rightly"),
     "adapting": ("studies.adapting", "adapt.md: what adapting to a person gains and costs"),
     "new_pad": ("studies.new_pad", "adapt.md: what recording on another kind of pad gains"),
-    "others": ("studies.others", "accuracy.md: touches that are none of the gestures, and slow caresses"),
+    "others": ("studies.others", "touches that are none of the gestures, and slow caresses"),
     "teaching": ("studies.teaching", "what teaching gains for touches in passing"),
     "tracker": ("studies.tracker.report", "sessions.md: how well touches are detected"),
     "streams": ("studies.sessions.streams", "sessions.md: the same of another kind of pad"),

@@ -10,7 +10,8 @@ import csv
 import gzip
 import logging
 import math
-from collections.abc import Iterator, Mapping, Sequence
+import sys
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -29,16 +30,13 @@ from touchd.drivers.recording import Recording, on_grid
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 from touchd.model.studies.checks.evaluate import Split, answer
 from touchd.model.studies.folders import study_parser
-from touchd.model.studies.marked import fill, table
 from touchd.model.studies.play import frames_of, play
-from touchd.model.studies.results import STORED
 from touchd.model.studies.sessions import streams
 from touchd.model.training import haart, third_study
 from touchd.model.training.haart import find
 from touchd.model.training.studies import Folders
 from touchd.model.training.weights import left_out_split
 
-FILE = STORED / "others.json"
 LENGTHS = (54, 144)
 SURE, VERY_SURE = 0.6, 0.65
 MADE = 72
@@ -94,7 +92,7 @@ class Curve(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Measured(msgspec.Struct, frozen=True, kw_only=True):
-    """The stored figures."""
+    """The figures, as they are printed."""
 
     model: str
     windows: list[Windows]
@@ -352,48 +350,17 @@ def measure(folders: Folders, firm_pad: Path | None) -> Measured:
     )
 
 
-def tables(measured: Measured) -> Mapping[str, str]:
-    """Return the page's tables by their places."""
-
-    def row(title: str, of: Told) -> tuple[object, ...]:
-        return title, of.n, of.known, of.known_very_sure, of.other
-
-    rows = [
-        row("pinch, poke, twist, knead, massage, fist, karate, type", measured.streams),
-        *(row(f"made: {name}", of) for name, of in measured.made.items()),
-        *([row("hug, grab, squeeze, punch on a firm pad", measured.firm_pad)] if measured.firm_pad else []),
-    ]
-    return {
-        "others": table(
-            ("touch", "number", "told one of the gestures, %", "with 0.65 or more", "told other"), rows
-        ),
-        "lost": table(
-            ("people", "after 1 s", "after 1.5 s", "after 2.67 s"),
-            [(each.people, *each.after.values()) for each in measured.lost],
-        ),
-        "trade": table(
-            ("`other` from", "of the eight others, named", "of the six, lost"),
-            [(each.limit, each.named, each.lost) for each in measured.curve],
-        ),
-        "caresses": table(
-            ("a caress of", "told stroke, %"),
-            [(f"{name} s", of.right) for name, of in measured.caresses.items()],
-        ),
-    }
-
-
 def _percent(mask: NDArray[np.bool_]) -> float:
     return round(100.0 * float(mask.mean()), 1) if len(mask) else 0.0
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Measure and fill the page; returns 0."""
-    parser = study_parser("others", __doc__, "haart", "second-study", "third-study", "docs")
+    """Measure, and print the figures as JSON; returns 0."""
+    parser = study_parser("others", __doc__, "haart", "second-study", "third-study")
     parser.add_argument("--firm-pad", type=Path, help="folder of a firm pad's streams; without it, no figure")
     options = parser.parse_args(arguments)
     # Silence the daemon's log, which would report on every stream.
     logging.disable()
     measured = measure(Folders(options.haart, options.second_study, options.third_study), options.firm_pad)
-    FILE.write_bytes(msgspec.json.format(msgspec.json.encode(measured), indent=1) + b"\n")
-    fill(options.docs / "accuracy.md", tables(measured))
+    sys.stdout.write(f"{msgspec.json.format(msgspec.json.encode(measured)).decode()}\n")
     return 0
