@@ -17,7 +17,6 @@ STUDIES = {
     "detection": ("studies.detection.compare", "how well the detectors find touches"),
     "evaluate": ("studies.making:evaluate", "scores the shipped model beside the paper's figures"),
     "stability": ("studies.making:stability", "checks a model's arithmetic on hard cases"),
-    "seeds": ("studies.seeds", "scores the recipe with three seeds"),
     "accuracy": ("studies.accuracy", "accuracy.md: the stored scores as tables and figures"),
     "challenge": ("studies.challenge.table", "report.md: the challenge's systems, the paper's table 1"),
     "paper": ("studies.paper", "report.md: the paper's network, its table 3"),
