@@ -46,11 +46,11 @@ EARLIEST_FRAMES = 9
 """The first frame at which the challenge's windows are answered, about a sixth of a second."""
 LIMITS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 """Confidences after 1 s at which an early answer counts as sure."""
-SHOWN = (0.5, 0.8, 0.9)
+SHOWN = (0.5, 0.8)
 """Values of `speak_above` in the page's table, beside the default."""
 FINAL = (0.0, 0.3, 0.4, 0.45, 0.5, 0.6, 0.7)
 """Values of `final_above`; the page's table has those of FINAL_SHOWN."""
-FINAL_SHOWN = (0.0, FINAL_ABOVE, 0.5, 0.6)
+FINAL_SHOWN = (0.0, FINAL_ABOVE, 0.5)
 LEAST_RIGHT_EARLY = 0.85
 MOST_CHANGED = 0.10
 MOST_HARMED = 0.02

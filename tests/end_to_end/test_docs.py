@@ -24,14 +24,6 @@ def typed(page: Path) -> list[list[str]]:
     return [line[line[0] == "sudo" :] for line in words if line]
 
 
-def test_reliability_names_only_existing_tests() -> None:
-    page = (ROOT / "docs" / "reliability.md").read_text()
-    known = {path.stem for path in (ROOT / "tests").rglob("*.py")}
-    named = set(re.findall(r"`((?:test|real)_\w+)`", page))
-    assert len(named) > 20
-    assert named <= known
-
-
 @pytest.mark.parametrize("study", STUDIES)
 def test_every_study_prints_help(study: str, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("torch")
