@@ -127,10 +127,6 @@ def bare(axes: Axes, *keep: str) -> None:
     axes.tick_params(colors=QUIET_INK, labelsize=8)
 
 
-def lane_of(answer: Prediction) -> int:
-    return LANES.index(answer.stage) if answer.stage in LANES else len(LANES) - 1
-
-
 def draw_lanes(axes: Axes) -> None:
     """Draw a line at each tick and no frame."""
     axes.grid(axis="y", color=PALE, linewidth=0.8)
@@ -146,47 +142,27 @@ def draw_touches(touches: Sequence[ReportedTouch], title: str) -> Figure:
     gestures = sorted({answer.gesture for touch in touches for answer in touch.predictions})
     height = LIST_TITLE_INCHES + TOUCH_INCHES * len(touches)
     figure = new_figure(height, f"{title}: the last touches ({len(touches)})")
-    answers, lengths = figure.subplots(1, 2, sharey=True, width_ratios=[2.6, 1.0])
-    _answers_in_columns(answers, touches, gestures)
-    _draw_lengths(lengths, touches, gestures)
-    # The oldest at the top; both plots share this axis.
-    answers.set_ylim(len(touches) - 0.4, -0.6)
-    return figure
-
-
-def _answers_in_columns(axes: Axes, touches: Sequence[ReportedTouch], gestures: Sequence[str]) -> None:
+    axes = figure.subplots()
     for row, touch in enumerate(touches):
         shown = touch.predictions[: len(COLUMNS) - 1] + touch.predictions[len(COLUMNS) - 1 :][-1:]
         for column, answer in enumerate(shown):
-            when = f", {answer.elapsed_s:.3g} s"
-            draw_answer(axes, column, row, answer, gestures, when=when)
+            draw_answer(axes, column, row, answer, gestures, when=f", {answer.elapsed_s:.3g} s")
     axes.set_xlim(-0.15, len(COLUMNS) - 0.2)
     axes.set_xticks(range(len(COLUMNS)), COLUMNS, ha="left")
-    all_began = [touch.began for touch in touches]
-    several = len({began.pad for began in all_began}) > 1
-    names = [
-        f"{began.time[:10]} {began.time[11:19]}   {f'{began.pad}, ' if several else ''}touch {began.touch}"
-        for began in all_began
-    ]
-    axes.set_yticks(range(len(touches)), names)
+    axes.set_ylim(len(touches) - 0.4, -0.6)
+    several = len({touch.began.pad for touch in touches}) > 1
+    axes.set_yticks(range(len(touches)), [_named(touch, several) for touch in touches])
     axes.set_xlabel("answers; filled: sent to the robot", fontsize=8, color=QUIET_INK)
     draw_lanes(axes)
+    return figure
 
 
-def _draw_lengths(axes: Axes, touches: Sequence[ReportedTouch], gestures: Sequence[str]) -> None:
-    for row, touch in enumerate(touches):
-        told, colour = "not over", PALE
-        length_s = max((answer.elapsed_s for answer in touch.predictions), default=0.0)
-        if touch.ended is not None:
-            told, length_s = touch.ended.gesture, touch.ended.frames / FRAME_RATE_HZ
-            colour = colour_of(told, gestures)
-        axes.barh(row, length_s, height=0.55, color=colour, alpha=0.6)
-        axes.annotate(
-            told, (0, row), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8, color=INK
-        )
-    axes.set_xlabel("answer at the end, and length in seconds", fontsize=8, color=QUIET_INK)
-    bare(axes, "left", "bottom")
-    axes.tick_params(axis="y", length=0, labelleft=False)
+def _named(touch: ReportedTouch, with_pad: bool) -> str:
+    """Return when a touch began, its number, and how it ended."""
+    began, ended = touch.began, touch.ended
+    pad = f"{began.pad}, " if with_pad else ""
+    end = "not over" if ended is None else f"{ended.gesture}, {ended.frames / FRAME_RATE_HZ:.1f} s"
+    return f"{began.time[:10]} {began.time[11:19]}   {pad}touch {began.touch}: {end}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,7 +260,6 @@ def draw_recording(traced: Trace, title: str) -> Figure:
     """Draw pressure over time, detected touches, answers, mean pads."""
     gestures = sorted({span.gesture for span in traced.stream.spans} - {NO_TOUCH})
     rows = _rows(traced)
-    longest_s = max(end_s - begin_s for begin_s, end_s in rows)
     columns = min(MOST_COLUMNS, max(LEAST_COLUMNS, len(gestures)))
     pad_rows = math.ceil(len(gestures) / columns)
     heights = [ROW_INCHES * len(rows), *([PADS_INCHES * pad_rows] if gestures else [])]
@@ -296,9 +271,7 @@ def draw_recording(traced: Trace, title: str) -> Figure:
         _answers_over_time(answers, traced, gestures, begin_s, end_s)
         _draw_pressure(pressure, traced, gestures, begin_s, end_s)
         for part in (answers, pressure):
-            part.set_xlim(begin_s, begin_s + longest_s)
-        pressure.set_xticks([tick for tick in pressure.get_xticks() if begin_s <= tick <= end_s])
-        pressure.spines["bottom"].set_bounds(begin_s, end_s)
+            part.set_xlim(begin_s, end_s)
     axes[0].set_title(LEGEND, fontsize=8, color=QUIET_INK, loc="right")
     axes[-1].set_xlabel("seconds", fontsize=8, color=QUIET_INK)
     if gestures:
@@ -307,18 +280,10 @@ def draw_recording(traced: Trace, title: str) -> Figure:
 
 
 def _rows(traced: Trace) -> list[tuple[float, float]]:
-    """Return start and end of each row in seconds: rows of similar length, split where nothing touches."""
+    """Return start and end of each row in seconds; all are of one length."""
     end_s = float(traced.time_s[_recorded(traced.stream)[1] - 1])
-    count = max(1, math.ceil(end_s / ROW_S))
-    length_s = end_s / count
-    quiets = [span for span in traced.stream.spans if span.gesture == NO_TOUCH]
-    middles_s = traced.time_s[[(span.start + span.stop) // 2 for span in quiets]]
-    breaks_s = {0.0, end_s}
-    for at_s in (row * length_s for row in range(1, count)):
-        nearby_s = middles_s[np.abs(middles_s - at_s) < length_s / 2]
-        nearest_s = nearby_s[np.argmin(np.abs(nearby_s - at_s))] if len(nearby_s) else at_s
-        breaks_s.add(float(nearest_s))
-    return list(pairwise(sorted(breaks_s)))
+    ends_s = np.linspace(0.0, end_s, max(1, math.ceil(end_s / ROW_S)) + 1)
+    return list(pairwise(ends_s.tolist()))
 
 
 def _draw_pressure(axes: Axes, traced: Trace, gestures: Sequence[str], begin_s: float, end_s: float) -> None:
@@ -330,13 +295,9 @@ def _draw_pressure(axes: Axes, traced: Trace, gestures: Sequence[str], begin_s: 
         start_s, stop_s = max(begin_s, traced.starts_s[number]), min(end_s, traced.ends_s(number))
         if start_s < stop_s:
             axes.axvspan(start_s, stop_s, color=PALE, linewidth=0, zorder=0)
-    for span, after in zip(traced.stream.spans, [*traced.stream.spans[1:], None], strict=True):
-        if span.is_added:
-            continue
-        # Up to the next recording, but not to a frame that nobody recorded.
-        joined = after is not None and not after.is_added
-        part = slice(max(span.start, first), min(span.stop + joined, last + 1))
-        if len(load[part]) == 0:
+    for span in traced.stream.spans:
+        part = slice(max(span.start, first), min(span.stop, last + 1))
+        if span.is_added or len(load[part]) == 0:
             continue
         colour = colour_of(span.gesture, gestures)
         axes.fill_between(traced.time_s[part], load[part], color=colour, alpha=0.45, linewidth=0)
@@ -361,7 +322,8 @@ def _answers_over_time(
             at_s = min(traced.starts_s[number] + answer.elapsed_s, last_s)
             if begin_s <= at_s < end_s:
                 is_wrong = truth != UNLABELLED and answer.gesture not in (truth, UNCERTAIN)
-                draw_answer(axes, at_s, -lane_of(answer), answer, gestures, wrong=is_wrong)
+                lane = LANES.index(answer.stage) if answer.stage in LANES else len(LANES) - 1
+                draw_answer(axes, at_s, -lane, answer, gestures, wrong=is_wrong)
     axes.set_ylim(-len(LANES) + 0.4, 0.6)
     axes.set_yticks([-lane for lane in range(len(LANES))], LANES)
     axes.set_xticks([])
