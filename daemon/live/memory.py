@@ -1,9 +1,9 @@
 """The state of the live page, for viewers who connect later."""
 
 from collections import deque
+from collections.abc import Sequence
 from typing import NamedTuple
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -42,43 +42,6 @@ class Scene(NamedTuple):
 
     settings: Settings
     model: Classifier | None
-
-
-class PageState(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="state"):
-    """The state that a page gets when it connects or has fallen behind.
-
-    pad: name of the pad. page: stamp of the page's files; a page with another stamp reloads. labels: in the
-    order of the probabilities, none if nothing is recognised. answer_at_frames, speak_above, revise_margin:
-    of the scene. model: its name. names: of the gestures. guesses: the words for each when nothing is sure.
-    action: the robot's latest on the last touch.
-    touches: the last ones, oldest first; an ongoing touch comes last. reported: numbers of the touches that
-    the robot was told about while it was up. rest: each taxel's reading before an ongoing touch. trace: of
-    that touch, seconds since it began and counts above rest. touchable: whether viewers can touch the pad.
-    may_label: whether viewers on this computer may say what a touch was. said: what they said, by touch.
-    """
-
-    page: str
-    pad: str
-    pads: tuple[str, ...]
-    labels: tuple[str, ...]
-    answer_at_frames: tuple[int, ...]
-    frame_rate_hz: float
-    model: str
-    speak_above: float
-    revise_margin: float
-    names: dict[str, str]
-    guesses: dict[str, str]
-    robot_configured: bool
-    action: RobotAction | None
-    sensor: SensorEvent | None
-    robot: RobotEvent | None
-    touches: tuple[ReportedTouch, ...]
-    reported: tuple[int, ...]
-    rest: tuple[float, ...]
-    trace: tuple[tuple[float, float], ...]
-    touchable: bool
-    may_label: bool
-    said: dict[int, str]
 
 
 class Memory:
@@ -145,7 +108,7 @@ class Memory:
         return np.mean(before, axis=0) if before else None
 
     def _trace(self) -> tuple[tuple[float, float], ...]:
-        """Return the pressure of the ongoing touch over time."""
+        """Return the ongoing touch's curve: seconds since it began, and counts above rest."""
         if self._rest is None or not self._traced or not self._touches or self._touches[-1].ended:
             return ()
         frames = self._traced[::TRACE_STEP]
@@ -160,36 +123,45 @@ class Memory:
             if ms < CLOCK_MODULUS // 2
         )
 
-    def state(self, page: str, pad: str, pads: tuple[str, ...], touchable: bool = False) -> PageState:
-        """Return the whole state. page: stamp of the page's files. pad: the name of this pad."""
+    def state(self, page: str, pad: str, pads: Sequence[str], touchable: bool = False) -> dict[str, object]:
+        """Return what a page gets when it connects or has fallen far behind.
+
+        page: stamp of the page's files; a page with another stamp reloads. pad: the name of this pad.
+        touchable: whether viewers can touch the pad.
+        """
         settings, model = self.scene
-        scene = settings.scene
-        labels = model.labels if model else ()
+        scene, labels = settings.scene, model.labels if model else ()
         trace, words = self._trace(), words_of(settings)
-        return PageState(
-            page=page,
-            pad=pad,
-            pads=pads,
-            labels=labels,
-            answer_at_frames=scene.answer_at_frames,
-            frame_rate_hz=FRAME_RATE_HZ,
-            model=model.name if model else "",
-            speak_above=scene.speak_above,
-            revise_margin=scene.revise_margin,
-            names={label: name_of(words, label) for label in (*labels, UNCERTAIN)},
-            guesses={label: _guess(words, label) for label in set(labels) - {NO_TOUCH}},
-            robot_configured=settings.robot is not None,
-            action=self._action,
-            sensor=self._sensor,
-            robot=self._robot if settings.robot else None,
-            touches=tuple(self._touches),
-            reported=tuple(self._reported),
-            rest=tuple(self._rest.round(1).ravel().tolist()) if self._rest is not None and trace else (),
-            trace=trace,
-            touchable=touchable,
-            may_label=settings.live is not None and settings.live.label,
-            said=self._said,
-        )
+        return {
+            "type": "state",
+            "page": page,
+            "pad": pad,
+            "pads": pads,
+            # In the order of the probabilities.
+            "labels": labels,
+            "answer_at_frames": scene.answer_at_frames,
+            "frame_rate_hz": FRAME_RATE_HZ,
+            "model": model.name if model else "",
+            "speak_above": scene.speak_above,
+            "revise_margin": scene.revise_margin,
+            "names": {label: name_of(words, label) for label in (*labels, UNCERTAIN)},
+            # The words for each gesture when nothing is sure.
+            "guesses": {label: _guess(words, label) for label in set(labels) - {NO_TOUCH}},
+            "robot_configured": settings.robot is not None,
+            "action": self._action,
+            "sensor": self._sensor,
+            "robot": self._robot if settings.robot else None,
+            # The oldest first; an ongoing touch comes last.
+            "touches": list(self._touches),
+            # Touches that the robot was told about while it was up.
+            "reported": list(self._reported),
+            # Each taxel's reading before an ongoing touch, and that touch's curve.
+            "rest": self._rest.round(1).ravel().tolist() if self._rest is not None and trace else (),
+            "trace": trace,
+            "touchable": touchable,
+            "may_label": settings.live is not None and settings.live.label,
+            "said": self._said,
+        }
 
 
 def _guess(words: Vocabulary, gesture: str) -> str:

@@ -1,7 +1,7 @@
 """Serves the live page from a thread with its own event loop.
 
 It sends events unchanged, frames, state and status; all but the frames are JSON. A frame has 133 bytes,
-little-endian: its sensor_ms (uint32), 64 counts (uint16), and the pad's place in `PageState.pads` (uint8).
+little-endian: its sensor_ms (uint32), 64 counts (uint16), and the pad's place in the state's `pads` (uint8).
 """
 
 import asyncio
@@ -55,7 +55,6 @@ class Status(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="s
 
     rate_hz: float
     dropped: int
-    viewers: int
     pad: str
 
 
@@ -218,9 +217,7 @@ class LiveServer:
             (first_s, first), (last_s, last) = samples[0], samples[-1]
             for pad in self._pads:
                 rate_hz = round((last[pad] - first[pad]) / (last_s - first_s), 1)
-                status = Status(
-                    rate_hz=rate_hz, dropped=self._frames_dropped, viewers=len(self._viewers), pad=pad
-                )
+                status = Status(rate_hz=rate_hz, dropped=self._frames_dropped, pad=pad)
                 self._viewers.show(encode_message(status))
 
     def _frames(self) -> dict[str, int]:
@@ -251,9 +248,8 @@ class LiveServer:
                 self._viewers.tell(encode_message(item))
 
     def _state(self) -> list[str]:
-        pads = tuple(self._pads)
-        stamp, touchable = self._page.stamp, self._is_touchable
-        return [encode_message(self._pads[pad].state(stamp, pad, pads, touchable)) for pad in pads]
+        stamp, pads = self._page.stamp, list(self._pads)
+        return [encode_message(self._pads[pad].state(stamp, pad, pads, self._is_touchable)) for pad in pads]
 
     def _find(self, pad: str, touch: int) -> TouchBegan | None:
         """Return the beginning of a touch that the page shows."""
@@ -270,7 +266,7 @@ def encode_frame(frame: Frame, pad: int = 0) -> bytes:
     return frame.sensor_ms.to_bytes(4, "little") + frame.pressure.astype("<u2").tobytes() + bytes([pad])
 
 
-def encode_message(message: msgspec.Struct) -> str:
+def encode_message(message: msgspec.Struct | dict[str, object]) -> str:
     return msgspec.json.encode(message).decode()
 
 

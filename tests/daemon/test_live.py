@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
@@ -76,7 +77,7 @@ def test_the_memory_for_late_viewers_is_bounded() -> None:
         memory.put(TouchBegan(touch=touch, time=TIME, sensor_ms=0))
         for _ in range(2 * PREDICTIONS):
             memory.put(msgspec.structs.replace(PREDICTION, touch=touch))
-    touches = memory.state("", "pad", ("pad",)).touches
+    touches: Any = memory.state("", "pad", ["pad"])["touches"]
     assert [found.began.touch for found in touches] == list(range(2 * TOUCHES, 3 * TOUCHES))
     assert {len(found.predictions) for found in touches} == {PREDICTIONS}
 
@@ -91,7 +92,7 @@ def test_rate_and_drops_are_sent_repeatedly(served: Served, viewer: ClientConnec
     frames_among(viewer, served.put_frame())
     status = await_message(viewer, "status")
     assert status["rate_hz"] > 0
-    assert (status["dropped"], status["viewers"]) == (0, 1)
+    assert status["dropped"] == 0
 
 
 def test_a_stalled_viewer_does_not_affect_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
