@@ -70,24 +70,6 @@ def test_a_finger_that_walks_diagonally_is_followed_taxel_by_taxel() -> None:
     assert features.centroid(np.zeros((1, 1, 8, 8)))[0, 0].tolist() == [3.5, 3.5]
 
 
-def test_contact_area_is_the_share_of_touched_taxels() -> None:
-    counts = np.zeros((1, 2, 8, 8))
-    counts[0, 1, :4, :4] = 100.0
-    assert features.contact_area(counts).tolist() == [[0.0, 0.25]]
-
-
-def test_a_series_is_described_by_its_moments() -> None:
-    described = features.describe(np.array([[0.0, 0.0, 0.0, 4.0], [2.0, 2.0, 2.0, 2.0]]))
-    third, fourth = 2.0 / np.sqrt(3.0), 7.0 / 3.0 - 3.0
-    assert described[0] == pytest.approx([1.0, np.sqrt(3.0), 0.0, 4.0, 0.0, third, fourth])
-    assert described[1].tolist() == [2.0, 0.0, 2.0, 2.0, 2.0, 0.0, 0.0]
-
-
-def test_an_alternating_series_has_alternating_autocorrelation() -> None:
-    alternating = np.tile([1.0, -1.0], 500)[np.newaxis]
-    assert features.autocorrelations(alternating, 2)[0] == pytest.approx([-1.0, 1.0], abs=0.01)
-
-
 of_each_system = pytest.mark.parametrize(
     "make", FEATURES, ids=lambda make: make.__module__.rpartition(".")[2]
 )
@@ -108,36 +90,6 @@ def test_features_do_not_depend_on_other_windows(make: Any) -> None:
     assert make(counts)[1] == pytest.approx(make(counts[1:2])[0])
 
 
-def test_the_hurst_exponent_tells_noise_from_a_drift() -> None:
-    noise = np.random.default_rng(0).standard_normal((50, 432))
-    assert balli.hurst(noise).mean() == pytest.approx(0.58, abs=0.08)
-    assert balli.hurst(noise.cumsum(axis=1)).mean() > 0.85
-
-
-def test_hjorths_mobility_of_a_sine_is_its_frequency() -> None:
-    activity, mobility, complexity = balli.hjorth(sine(5400, 3.0)[np.newaxis])[0]
-    assert activity == pytest.approx(50.0**2 / 2.0, rel=1e-3)
-    assert mobility == pytest.approx(2.0 * np.sin(np.pi * 3.0 / HZ), rel=1e-3)
-    assert complexity == pytest.approx(1.0, rel=1e-3)
-
-
-def test_the_autoregressive_model_of_a_series_is_recovered() -> None:
-    noise = np.random.default_rng(0).standard_normal(20_000)
-    series = np.zeros_like(noise)
-    for frame in range(2, len(noise)):
-        series[frame] = 1.2 * series[frame - 1] - 0.5 * series[frame - 2] + noise[frame]
-    assert balli.autoregressive(series[np.newaxis], 2)[0] == pytest.approx([1.2, -0.5], abs=0.03)
-
-
-def test_a_hand_along_a_row_is_a_long_image() -> None:
-    image = np.zeros((1, 8, 8))
-    image[0, 2, 1:5] = 10.0
-    row, column, long, short, eccentricity, hardest = balli.image_features(image)[0]
-    assert (row, column) == pytest.approx((2.0, 2.5))
-    assert (long, short) == pytest.approx((np.sqrt(1.25), 0.0), abs=1e-6)
-    assert (eccentricity, hardest) == pytest.approx((1.0, 0.25))
-
-
 def test_each_candidate_feature_has_a_name_at_its_place() -> None:
     values = balli.features(pressed(sine(432, 3.0)).astype(np.uint16))[0]
     named = dict(zip(balli.NAMES, values, strict=True))
@@ -146,11 +98,6 @@ def test_each_candidate_feature_has_a_name_at_its_place() -> None:
     assert named["greatest of greatest count"] == 149.0
     assert named["mean of touched area"] == 1.0
     assert named["mobility of mean pressure"] == pytest.approx(2.0 * np.sin(np.pi * 3.0 / HZ), rel=0.05)
-
-
-def test_runs_of_motion_are_counted_by_their_length() -> None:
-    moving = np.array([int(digit) for digit in "0110111001111110001"], dtype=bool)[np.newaxis, :, np.newaxis]
-    assert gaus.run_lengths(moving)[0, :, 0].tolist() == [1, 1, 1, 0, 0]
 
 
 def test_a_moving_taxel_shows_in_every_scale() -> None:
@@ -165,21 +112,6 @@ def test_a_moving_taxel_shows_in_every_scale() -> None:
         assert histogram == pytest.approx(expected.ravel())
 
 
-def test_uniform_local_patterns_have_a_bin_each() -> None:
-    bins = gaus.uniform_bins()
-    assert np.bincount(bins).tolist() == [1] * 58 + [256 - 58]
-    assert bins[0b01010101] == 58
-    flat = gaus.binary_patterns(np.zeros((1, 9, 8, 8), dtype=np.int32))
-    assert flat.reshape(3, 59)[:, bins[255]].tolist() == [1.0, 1.0, 1.0]
-
-
-def test_patterns_over_time_tell_ramp_from_rest() -> None:
-    still = np.zeros((1, 9, 8, 8), dtype=np.int32)
-    ramp = still + np.arange(9, dtype=np.int32)[:, np.newaxis, np.newaxis]
-    one, other = (gaus.binary_patterns(values).reshape(3, 59) for values in (still, ramp))
-    assert (one != other).any(axis=1).tolist() == [False, True, True]
-
-
 KINDS = (hughes.CNN, hughes.CRNN, hughes.AUTOENCODER_RNN)
 
 
@@ -191,17 +123,6 @@ def test_one_network_answers_six_times_a_second_at_every_length(kind: str) -> No
         steps = frames // 9 - (4 if kind == hughes.CNN else 0)
         assert network(counts).shape == (2, steps, 7)
         assert network.answer(counts).shape == (2, 7)
-
-
-def test_the_cnn_sees_45_frames_the_others_all() -> None:
-    counts = torch.randint(500, (1, 54, 8, 8)).float()
-    other = counts.clone()
-    other[:, :9] = 0.0
-    for kind in KINDS:
-        network = hughes.HughesNetwork(kind, 7).eval()
-        with torch.no_grad():
-            same = torch.allclose(network(counts)[:, -1], network(other)[:, -1])
-        assert same == (kind == hughes.CNN)
 
 
 def made(participants: Sequence[str]) -> list[Recording]:

@@ -17,7 +17,6 @@ from touchd.model.studies.decision import (
     Measured,
     Point,
     Streams,
-    Told,
     at_limit,
     best_choice,
     choose,
@@ -83,12 +82,6 @@ def test_a_right_answer_that_a_mark_undoes_is_harmful() -> None:
     assert all(t.harmed and not t.settled for t in tell(undone, DecisionSettings()))
 
 
-def test_a_corrected_answer_is_right_at_the_end_and_harmless() -> None:
-    told = Told((("early", 1.0, False), ("final", 2.67, True)))
-    assert told.settled
-    assert not told.harmed
-
-
 def test_a_touch_detected_late_is_answered_at_the_next_mark(late: Streams) -> None:
     gentle = replace(late, detected=np.full(len(late.truth), 60))
     assert {t.answers[0][:2] for t in tell(gentle, DecisionSettings())} == {("revised", 1.5)}
@@ -98,10 +91,6 @@ def test_windows_are_answered_at_the_first_sure_frame(late: Streams) -> None:
     found = at_limit(late, 0.7)
     assert found.mean_s == pytest.approx(30 / 54)
     assert found.accuracy == 1.0
-
-
-def test_no_window_is_answered_before_the_ninth_frame() -> None:
-    assert at_limit(streams_sure_from([1] * 8, 0.95), 0.1).mean_s == pytest.approx(9 / 54)
 
 
 def test_early_answers_become_the_default_only_where_right_and_early() -> None:

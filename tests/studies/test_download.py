@@ -142,16 +142,10 @@ def test_a_download_that_fails_leaves_no_archive(
     assert not (tmp_path / ARCHIVE_NAME).exists()
 
 
-def test_a_file_where_the_folder_should_be_is_named(tmp_path: Path) -> None:
-    (tmp_path / "haart").write_text("")
-    assert "File exists" in refusal(tmp_path / "haart", NOWHERE)
-
-
 @pytest.mark.parametrize(
     ("content", "message"),
     [
         (b"<html>moved</html>", r"damaged \(File is not a zip file\); delete it and run this again"),
-        (GOOD[: len(GOOD) // 2], r"damaged \(File is not a zip file\)"),
         (GOOD[:5000] + b"\0" * 5000 + GOOD[10_000:], "damaged"),
         (archive({"training.csv": TRAINING_CSV}), r"holds 0 files testWITHLABELS\.csv, not one"),
         (
@@ -180,15 +174,6 @@ def test_a_zip_bomb_is_refused_unpacked(tmp_path: Path) -> None:
     assert bomb.stat().st_size < 200_000
     with pytest.raises(DownloadError, match=r"training\.csv would unpack to 1,000,000 bytes; refused"):
         unpack(bomb, tmp_path, EXPECTED, max_bytes=900_000)
-
-
-def test_a_zip_bomb_with_a_false_size_is_cut_off(tmp_path: Path) -> None:
-    honest = archive({"training.csv": "0" * 1_000_000, "testWITHLABELS.csv": TEST_CSV})
-    lie = honest.replace((1_000_000).to_bytes(4, "little"), (1000).to_bytes(4, "little"))
-    (tmp_path / ARCHIVE_NAME).write_bytes(lie)
-    with pytest.raises(DownloadError, match="damaged"):
-        unpack(tmp_path / ARCHIVE_NAME, tmp_path, EXPECTED, max_bytes=900_000)
-    assert [path.name for path in tmp_path.iterdir()] == [ARCHIVE_NAME]
 
 
 def test_only_the_two_files_are_unpacked(tmp_path: Path) -> None:

@@ -107,15 +107,6 @@ def test_a_cell_keeps_its_values_and_says_what_made_it(
     assert "onnxruntime" in cell.machine
 
 
-def test_measuring_a_cell_again_replaces_it_and_leaves_the_others(tmp_path: Path) -> None:
-    results = Results(tmp_path / "paper.json")
-    for key, figure in (("b/1", 1), ("a/1", 2), ("b/1", 3)):
-        results.put(key, {"figure": figure}, 0.0)
-    assert results.find("b/") == ["b/1"]
-    assert [Results(results.path).get(key)["figure"] for key in ("a/1", "b/1")] == [2, 3]
-    assert [path.name for path in tmp_path.iterdir()] == ["paper.json"]
-
-
 @pytest.mark.parametrize("content", ["", "{", "[]", '{"a": 1}', '{"a": {"values": {}}}'])
 def test_a_damaged_file_of_results_is_refused_and_kept(tmp_path: Path, content: str) -> None:
     path = tmp_path / "paper.json"

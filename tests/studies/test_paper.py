@@ -15,7 +15,7 @@ from touchd.drivers.recording import Recording, ideal_clock_ms
 from touchd.model.classifier import Classifier
 from touchd.model.studies import paper
 from touchd.model.studies.checks import evaluate
-from touchd.model.studies.paper import CHECKPOINT_NAME, PaperCell, PaperTraining, train
+from touchd.model.studies.paper import PaperCell, PaperTraining, train
 from touchd.model.studies.paper_network import Attention, FeedForward, PaperSettings, PaperTGC, Variant
 from touchd.model.studies.results import Results
 from touchd.model.training import haart
@@ -71,14 +71,6 @@ def test_an_interrupted_training_reaches_the_same_weights(tmp_path: Path) -> Non
         torch.testing.assert_close(resumed.network.state_dict()[name], value, rtol=0.0, atol=0.0)
 
 
-def test_every_epoch_is_scored_in_evaluation_mode() -> None:
-    one = training()
-    probabilities = one.run_epoch()
-    assert one.epoch == 1
-    np.testing.assert_array_equal(probabilities, paper.answer(one.network, windows(1).counts))
-    assert one.accuracies[-1] == paper.macro_accuracy(probabilities.argmax(axis=1), windows(1).labels)
-
-
 def test_a_cell_keeps_every_epoch_and_the_last_ones_answers(
     results: Results, made: list[Recording], tmp_path: Path
 ) -> None:
@@ -98,17 +90,6 @@ def test_more_epochs_continue_a_training(results: Results, made: list[Recording]
     assert after[:2] == before
     with pytest.raises(CheckpointError, match="trained for 3 epochs already"):
         train(results, PaperCell("public", 1, 9, epochs=1, seed=0), made, made, tmp_path)
-
-
-def test_a_damaged_checkpoint_is_named_in_one_line(
-    results: Results, made: list[Recording], tmp_path: Path
-) -> None:
-    path = tmp_path / CELL.training / CHECKPOINT_NAME
-    path.parent.mkdir(parents=True)
-    path.write_bytes(b"no checkpoint")
-    with pytest.raises(CheckpointError, match="move it away") as raised:
-        train(results, CELL, made, made, tmp_path)
-    assert "\n" not in str(raised.value)
 
 
 def test_a_row_shows_the_longest_training_with_six_blocks(results: Results) -> None:
@@ -141,10 +122,6 @@ def test_our_networks_score_in_the_papers_windows_as_stored(file: int, frames: i
     assert again.accuracy == pytest.approx(stored[file], abs=TOLERANCE)
 
 
-def parameters(network: nn.Module) -> int:
-    return sum(parameter.numel() for parameter in network.parameters())
-
-
 def test_the_printed_block_is_the_encoder_block_of_pytorch() -> None:
     torch.manual_seed(0)
     attention, forward = Attention(32, 4, 0.1).eval(), FeedForward(32, 64, 0.1).eval()
@@ -169,18 +146,6 @@ def test_the_printed_block_is_the_encoder_block_of_pytorch() -> None:
     x = torch.randn(2, 9, 32)
     with torch.no_grad():
         torch.testing.assert_close(forward(attention(x)), theirs(x), rtol=1e-5, atol=1e-5)
-
-
-def test_both_networks_have_the_published_sizes() -> None:
-    embedding, attention = 64 * 512 + 512, 4 * (512 * 512 + 512) + 2 * 512
-    feed_forward = 512 * 2048 + 2048 + 2048 * 512 + 512 + 2 * 512
-    dense = (512 * 128 + 128) + (128 * 16 + 16) + (16 * 4 + 4) + (144 * 4 * 7 + 7)
-    printed, public = (PaperTGC(PaperSettings(variant), 7) for variant in ("printed", "public"))
-    assert parameters(printed) == embedding + 6 * (attention + feed_forward) + dense
-    assert parameters(public) == 2 * 144 + embedding + 6 * attention + dense
-    assert sum(isinstance(layer, nn.ReLU) for layer in printed.dense) == 0
-    assert sum(isinstance(layer, nn.ReLU) for layer in public.dense) == 3
-    assert public.input_norm.num_features == 144
 
 
 @pytest.mark.parametrize("variant", ["printed", "public"])

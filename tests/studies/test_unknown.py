@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -144,13 +143,6 @@ def test_a_model_file_gives_its_network_back() -> None:
     assert torch.softmax(logits, dim=-1).numpy() == pytest.approx(model.batch_probabilities(counts), abs=1e-5)
 
 
-def test_what_is_no_model_gives_no_network(tmp_path: Path) -> None:
-    path = tmp_path / "no.onnx"
-    path.write_bytes(b"no model")
-    with pytest.raises(checkpoint.CheckpointError, match="not a model file"):
-        checkpoint.restored(path)
-
-
 def test_the_shift_keeps_the_share_that_may_be_lost() -> None:
     rng = np.random.default_rng(0)
     truth = rng.integers(7, size=4000)
@@ -171,13 +163,3 @@ def test_the_study_makes_other_blows_and_squeezes() -> None:
     laid = others.on_rests(blow, known(("notouch",))[0].counts)
     assert laid[others.REST_FRAMES : others.REST_FRAMES + 3].max() > 150
     assert laid[-1].max() < 30
-
-
-def test_the_study_ranks_answers() -> None:
-    assert others.auroc(np.array([0.8, 0.9]), np.array([0.1, 0.2, 0.3])) == 1.0
-    assert others.auroc(np.array([0.1, 0.9]), np.array([0.5])) == 0.5
-
-
-def test_refined_settings_are_those_of_the_shipped_file() -> None:
-    training = Classifier.load().metadata.training
-    assert msgspec.convert(training["refined"], Refinement).unknown > 0.0
