@@ -60,24 +60,35 @@ def test_the_help_names_every_command(
     assert all(f"touchd {command}" in shown for command in cli.COMMANDS)
 
 
+def while_loading(_: Sequence[str]) -> int:
+    """As compiled modules do if interrupted while they are imported."""
+    try:
+        raise KeyboardInterrupt
+    except KeyboardInterrupt as error:
+        raise ImportError("initialization failed") from error
+
+
+def while_locking(_: Sequence[str]) -> int:
+    """What a condition does if the signal comes while it takes its lock again."""
+    try:
+        raise KeyboardInterrupt
+    finally:
+        threading.Lock().release()
+
+
+def at_work(_: Sequence[str]) -> int:
+    raise KeyboardInterrupt
+
+
 @pytest.mark.parametrize(("command", "code"), [("run", 0), ("doctor", 130)])
-@pytest.mark.parametrize("while_loading", [True, False])
+@pytest.mark.parametrize("interrupted", [at_work, while_loading, while_locking])
 def test_ctrl_c_ends_a_daemon_and_cuts_others_short(
     capfd: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
     command: str,
     code: int,
-    while_loading: bool,
+    interrupted: Callable[[Sequence[str]], int],
 ) -> None:
-    def interrupted(words: Sequence[str]) -> int:
-        try:
-            raise KeyboardInterrupt
-        except KeyboardInterrupt as error:
-            if while_loading:
-                # As compiled modules do if interrupted while they are imported.
-                raise ImportError("initialization failed") from error
-            raise
-
     monkeypatch.setattr(cli, "_run", interrupted)
     assert cli.main([command]) == code
     assert capfd.readouterr().err == ""
@@ -322,21 +333,6 @@ def test_the_quiet_time_does_not_depend_on_the_pads_rate() -> None:
     fast = replace(quiet[0], counts=np.zeros((4000, 8, 8), np.uint16), sensor_ms=2 * np.arange(4000))
     spans = with_quiet(touches[:1], [fast]).spans
     assert [span.stop - span.start for span in spans if span.gesture == "notouch"] == [2000, 2000]
-
-
-def test_a_signal_that_interrupts_a_lock_ends_a_command_quietly(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def interrupted(_: object) -> int:
-        try:
-            raise KeyboardInterrupt
-        finally:
-            # What a condition does if the signal comes while it takes its lock again.
-            threading.Lock().release()
-
-    monkeypatch.setattr("touchd.daemon.commands.replay.main", interrupted)
-    assert cli.main(["replay"]) == 0
-    assert capsys.readouterr().err == ""
 
 
 def test_run_reads_what_replay_plays() -> None:

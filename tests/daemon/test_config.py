@@ -129,14 +129,11 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
     ("text", "message"),
     [
         ("sensr: {}", "sensr: unknown setting; did you mean sensor?"),
-        ("sensor: {prt: /dev/x}", "sensor.prt: unknown setting; did you mean sensor.port?"),
         ("sensor: {onset_threshold: 5}", "unknown setting; did you mean touch.onset_threshold?"),
         ("sensor:\n\tport: x", "line 2, column 1: indent with spaces, not with tabs"),
         ("sensor: {format: {framing: txt}}", "sensor.format.framing: 'txt' is not one of text, binary"),
         ("turn: 90", "turn: unknown setting; did you mean sensor.turn?"),
-        ("port: /dev/x", "port: unknown setting; did you mean sensor.port?"),
         ("robot: {ip: 10.0.0.5}", "robot.ip: unknown setting; there are url, "),
-        ("scene: {zzz: 1}", "scene.zzz: unknown setting"),
         ("sensor: {'a`b': 1}", "sensor.a`b: unknown setting"),
         ("sensor: {baud: fast}", "sensor.baud: a whole number expected, not text"),
         ("sensor: {port: ''}", "sensor.port: must not be empty"),
@@ -148,7 +145,6 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
         ("sensors: {a: {size_mm: [0, 80]}}", "size_mm[0]: must be at least 0.001 (millimetres)"),
         ("sensor: {baud: 3}", "sensor.baud: 3 must be at least 1200"),
         (f"sensor: {{baud: {'9' * 8000}}}", "Exceeds the limit (4300 digits)"),
-        ("sensor: {protocol: csv}", "sensor.protocol: unknown setting"),
         ("sensor: {format: {header: aa, crop: 4}}", "10x10 with crop 4 leaves 2x2; a side of 4 to 64"),
         ("sensor: {format: fabricgrid}", "did you mean fabric-grid?"),
         ("sensor: {format: xyz}", "format 'xyz' is none of fabric-grid, csv,"),
@@ -156,13 +152,11 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
         ("sensor: {format: {framing: binary}}", "needs a header or footer"),
         ("sensor: {format: {rows: 8, columns: 8}}", "lines of numbers need framing: text"),
         ("sensor: {port: 'tcp://pad:1', format: {framing: binary}}", "needs a header or footer"),
-        ("sensor: {format: {headr: aa}}", "unknown setting; did you mean sensor.format.header?"),
         (
             "live:\n  #port: 8054",
             "line 1, column 1: live has no value; write null for none",
         ),
         ("touch: {onset_threshold: .nan}", "touch.onset_threshold: nan must be at least 0.001"),
-        ("scene: {speak_above: 1.5}", "scene.speak_above: 1.5 must be at most 1"),
         (
             "scene: {actions: [{do: [{leds: purple}]}]}",
             "scene.actions[0].do[0]: leds 'purple' is neither #rrggbb nor one of white, red",
@@ -180,8 +174,6 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
             "robot.token: unknown setting; write the token",
         ),
         ("mqtt: {host: 'mqtt://broker'}", "mqtt.host: another form expected, as in host: broker.local"),
-        ("mqtt: {host: 'broker:1883'}", "mqtt.host: another form expected, as in host: broker.local"),
-        ("mqtt: {host: '[::1]'}", "mqtt.host: another form expected, as in host: broker.local"),
         ("name: a/#", "name: another form expected, as in name: lab/nao1"),
         ("name: nao__1", "name: another form expected, as in name: lab/nao1"),
         ("mqtt: {discovery: a/#}", "mqtt.discovery: another form expected, as in discovery: homeassistant"),
@@ -193,7 +185,6 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
         ("model: a: b", "line 1, column 9: a colon where none can stand"),
         ("sensor:\n  port /dev/x\n  baud: 9600", "line 3, column 7: a colon where none can stand"),
         ("scene:\n  early: at_mark\n   stale_s: 2", "line 3, column 11: a colon where none can stand"),
-        ("sensor:\n  port: x\n baud: 9600", "line 3, column 2: indent this line as far as the other"),
         ("scene:\n  gestures:\n  - pat\n - rub", "line 4, column 2: indent this line as far as the other"),
         ("model: 'a\n", "line 2, column 1: a quote is opened above and not closed"),
         (
@@ -203,12 +194,10 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
         ("scene: {answer_at_frames: [54, 81]}", "scene.answer_at_frames: 3 values expected, not 2"),
         ("[" * 20_000, "not YAML"),
         ("just words", "settings (name: value) expected, not text"),
-        ("? [1, 2]\n: 3", "line 1, column 3: found unhashable key"),
         ("sensor: !!python/object/apply:os.system [ls]", "tags (!name) are not allowed"),
         ("model: 2020-99-99", "not YAML"),
         ("a: \x00", "line 1: special characters are not allowed"),
         ("sensor:\n\u00a0 port: a", "line 2 has an invisible character (U+00A0, perhaps copied from a page)"),
-        ("sensor:\n  port:\u00a0a", "line 2 has an invisible character (U+00A0, perhaps copied from a page)"),
         ("1: 2", "a name before a colon is not text"),
         (
             "scene: {actions: [{on: pat}]}",
@@ -269,11 +258,6 @@ def test_a_file_of_nested_aliases_is_refused_at_once(tmp_path: Path) -> None:
         levels.append(f"&{two} [{', '.join([f'*{one}'] * 9)}]")
     message = refusal(tmp_path, f"model: [{', '.join(levels)}]")
     assert message == "line 1, column 45: aliases (*name) are not allowed; write the value out"
-
-
-@pytest.mark.parametrize("format", ["fabric-grid", "csv", "muca"])
-def test_every_pad_has_the_same_limits(format: str) -> None:
-    assert Settings(sensor=SensorSettings(format=format)).pipeline.decision == Settings().pipeline.decision
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 import base64
 import csv
 import json
-import stat
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -67,12 +66,6 @@ def test_tags_are_columns_of_a_csv(journal: Path) -> None:
     tagged = msgspec.structs.replace(EVENTS[0], tags={"participant": "P07"})
     journal.write_bytes(encode(EVENTS[0]) + b"\n" + encode(tagged) + b"\n")
     assert [row["tags_participant"] for row in rows(journal)] == ["", "P07"]
-
-
-def test_a_converted_file_is_closed_to_other_users(journal: Path, tmp_path: Path) -> None:
-    for source in (journal, DEMO):
-        out = converted(source, tmp_path / f"{source.name}.csv")
-        assert stat.S_IMODE(out.stat().st_mode) == 0o640
 
 
 def test_journal_lines_that_are_not_events_are_skipped_and_counted(

@@ -10,40 +10,30 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rigs.call_log import CallLog
-from rigs.expectations import DEMO, GESTURES, answers, beginning_of
+from rigs.expectations import DEMO, GESTURES
 from rigs.made_events import PREDICTION
 from rigs.patient_port import playing
 from rigs.programs import TOUCHD, WITHOUT_EXTRAS, Program, ran
-from rigs.robots import linked
-from rigs.stub_robot import StubRobot
 from rigs.terminal import Terminal
-from rigs.wait import WITHIN_S, wait_for
+from rigs.wait import WITHIN_S
 
 from touchd.daemon import commands
 from touchd.daemon.app import cli
 from touchd.daemon.app.config import (
     ConfigError,
     JournalSettings,
-    LiveSettings,
     SensorSettings,
     Settings,
     load,
 )
 from touchd.daemon.app.parts import check_pad
-from touchd.daemon.commands.one_pad import load_model
 from touchd.daemon.commands.settings import find_settings
 from touchd.daemon.doctor.line import check_rate
 from touchd.daemon.doctor.listening import Sample
-from touchd.daemon.live.address import qr_code, urls_of
-from touchd.daemon.path.events import Prediction, TouchEnded, encode
-from touchd.daemon.robot.actions import Action, ActionRule
-from touchd.daemon.robot.reactions import Reactions
-from touchd.daemon.robot.sink import RobotSink
+from touchd.daemon.path.events import encode
 from touchd.daemon.sinks.journal import JournalError, open_journal
-from touchd.drivers.frame import DEFAULT_PAD, Frame
+from touchd.drivers.frame import Frame
 from touchd.drivers.installed import TORCH_ON_CPU, how_to_install, program_name
-from touchd.drivers.robot.session import RobotLimits
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "daemon/touchd.example.yaml"
@@ -126,16 +116,6 @@ def test_closed_or_full_streams_cause_no_internal_error(
     done = ran(["bash", "-o", "pipefail", "-c", f"{sys.executable} -m touchd.daemon {command}"])
     assert (done.returncode, said in done.stderr) == (code, True)
     assert len(done.stderr.splitlines()) == bool(said)
-
-
-def test_a_limit_on_what_a_user_may_write_is_one_line(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    # As a quota for a home folder on a server; bash's own limit is in KiB.
-    monkeypatch.delenv("PYTHONUNBUFFERED", raising=False)
-    done = ran(["bash", "-c", f"ulimit -f 2; {sys.executable} -m touchd.daemon config >{tmp_path}/a.yaml"])
-    assert done.returncode == 2
-    assert done.stderr == "touchd: standard output: cannot be written (File too large)\n"
 
 
 def test_the_printed_name_runs_this_program(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -290,23 +270,6 @@ def test_a_clock_that_restarts_does_not_report_a_broken_pad() -> None:
     assert checked.verdict == "ok", checked
 
 
-def test_every_settled_touch_triggers_the_example_action_once() -> None:
-    events = answers(beginning_of(GESTURES, 3), load_model(Settings()))
-    calls = CallLog()
-    rule = ActionRule(do=(Action(say="{gesture}"),), stages=("final", "released"))
-    limits = RobotLimits(stale_s=30.0)
-    with StubRobot(calls.add) as robot, linked(robot, acts=True, limits=limits) as (link, _):
-        rules = {DEFAULT_PAD: (rule,)}
-        sink = RobotSink(link, Reactions(rules, {}, link.act, lambda *_: None).on_answer)
-        for event in events:
-            sink.put(event)
-        settled = [event.gesture for event in events if isinstance(event, TouchEnded)]
-        wait_for(lambda: len(calls.said()) >= len(settled))
-    early = [event for event in events if isinstance(event, Prediction) and event.stage == "early"]
-    assert any(event.told for event in early)
-    assert calls.said() == settled
-
-
 def test_classify_speaks_to_a_person_in_a_terminal() -> None:
     with Terminal("classify") as terminal:
         terminal.until("touch 1 begins")
@@ -323,15 +286,6 @@ def test_run_speaks_to_people_in_terminals_and_json_on_request() -> None:
         terminal.until("touch 1 ends: pat")
     with Terminal("run", "--json", "--port", "/dev/nowhere") as terminal:
         terminal.until('{"type":"sensor"')
-
-
-def test_the_network_address_is_shown_as_url_and_qr_code() -> None:
-    urls = urls_of(LiveSettings(host="0.0.0.0"), 8054)
-    assert all(url.startswith("http://") and url.endswith(":8054/") for url in urls)
-    assert urls_of(LiveSettings(), 80) == ["http://127.0.0.1:80/"]
-    lines = qr_code("http://192.168.1.17:8054/").splitlines()
-    assert len({len(line) for line in lines if line}) == 1
-    assert set("".join(lines)) <= set("█▀▄ ")
 
 
 @pytest.mark.parametrize("number", [pytest.param(signal.SIGTERM, marks=pytest.mark.slow), signal.SIGHUP])

@@ -2,6 +2,7 @@
 
 import os
 import random
+import shutil
 import sys
 import threading
 import time
@@ -148,14 +149,6 @@ def test_a_file_has_provenance_and_no_persons_name(bench: StoreBench) -> None:
     assert {touch.participant, touch.substrate, touch.cover, touch.gesture} == {UNLABELLED}
 
 
-def test_rest_before_a_touch_excludes_the_previous_touch(bench: StoreBench) -> None:
-    bench.feel(palm(1.2), nothing(0.85), palm(1.2, counts=60.0), nothing(2.0))
-    first, second = map(read_frames, bench.end())
-    assert 40 <= len(second.before.counts) <= 46
-    assert second.before.counts.max() < 12
-    assert second.before.sensor_ms[0] > first.touch.sensor_ms[-1]
-
-
 def test_frames_after_an_unreleased_touch_are_not_quiet(bench: StoreBench) -> None:
     bench.feel(palm(1.2))
     bench.clock_ms += 400
@@ -210,15 +203,6 @@ def test_a_fast_pads_touch_is_kept_from_its_beginning(store: TouchStore, tmp_pat
     frames = read_frames(kept)
     assert frames.before.sensor_ms[[0, -1]].tolist() == [2200, 3198]
     assert frames.touch.sensor_ms[[0, -1]].tolist() == [3200, 5900]
-
-
-def test_a_touch_begun_before_keeping_is_not_kept(bench: StoreBench) -> None:
-    bench.feel(palm(0.5))
-    bench.sink.stop(WITHIN_S)
-    bench.keep()
-    bench.feel(palm(0.5), nothing(1.5), palm(0.5), nothing(1.0))
-    assert [kept.number for kept in bench.end()] == [2]
-    assert len(bench.ended()) == 2
 
 
 @pytest.mark.parametrize("state", ["degraded", "up"])
@@ -298,16 +282,6 @@ def test_tags_say_who_touched_what(store: TouchStore, tmp_path: Path) -> None:
     assert (recording.participant, recording.substrate, recording.cover) == ("P07", UNLABELLED, "fur")
 
 
-def test_a_deleted_folder_is_made_again(store: TouchStore, tmp_path: Path) -> None:
-    store.add(ended_touch(1))
-    (only,) = kept_touches(tmp_path / "touches")
-    only.path.unlink()
-    only.path.parent.rmdir()
-    store.add(ended_touch(2))
-    assert [kept.number for kept in kept_touches(tmp_path / "touches")] == [2]
-    assert (tmp_path / "touches").stat().st_mode & 0o007 == 0
-
-
 def test_an_unusable_folder_is_reported_with_its_setting(tmp_path: Path) -> None:
     (tmp_path / "events.jsonl.touches").touch()
     for path, why in ((tmp_path / "events.jsonl", "File exists"), (Path("/nowhere/e"), "No such file")):
@@ -338,21 +312,6 @@ def test_a_hanging_disk_never_blocks_the_loop(tmp_path: Path) -> None:
     store.goes_on.set()
     assert len(bench.end()) == TouchSink.capacity + 4 - bench.sink.dropped
     assert "touchd-touches" not in {thread.name for thread in threading.enumerate()}
-
-
-def test_keeping_a_frame_takes_the_loop_little_time(store: TouchStore) -> None:
-    sink = TouchSink({"pad": store})
-    frames = [Frame(19 * i, 0.0, np.zeros((8, 8), np.uint16)) for i in range(20_000)]
-    sink.put_frame(frames[0])
-    sink.put(ended_touch(1).began)
-    begun_s = time.process_time()
-    for frame in frames:
-        sink.put_frame(frame)
-    each_s = (time.process_time() - begun_s) / len(frames)
-    sink.put(SensorEvent(state="down", time=""))
-    sink.stop(5.0)
-    # Usually a microsecond; the margin is for a busy machine.
-    assert each_s < 20e-6
 
 
 FILL_A_SMALL_DISK = """
@@ -425,13 +384,6 @@ def test_a_new_store_leaves_what_the_old_one_writes(store: TouchStore, tmp_path:
     later.add(ended_touch(2))
     assert not writing.exists()
     assert [(kept.count, kept.number) for kept in kept_touches(tmp_path / "touches")] == [(1, 1), (2, 2)]
-
-
-def test_a_lowered_bound_keeps_the_last_touches(tmp_path: Path) -> None:
-    for number in range(6):
-        TouchStore(tmp_path, 10, "").add(ended_touch(number))
-    TouchStore(tmp_path, 2, "").add(ended_touch(6))
-    assert [kept.number for kept in kept_touches(tmp_path)] == [5, 6]
 
 
 def test_foreign_files_are_neither_offered_nor_deleted(tmp_path: Path) -> None:
@@ -511,19 +463,19 @@ def test_a_folder_that_fails_loses_touches_and_says_so_once(
     caplog.set_level("INFO")
     folder = tmp_path / "touches"
     store.add(ended_touch(1))
-    for path in folder.iterdir():
-        path.unlink()
-    folder.rmdir()
+    shutil.rmtree(folder)
     folder.touch()
     store.add(ended_touch(2))
     store.add(ended_touch(3))
     assert store.lost == 2
     folder.unlink()
+    # The folder is made again.
     store.add(ended_touch(4))
     failed, again = caplog.messages
     assert failed.startswith("the frames of touches cannot be saved: ")
     assert again.startswith("the frames of touches are saved again; those of 2 were lost")
     assert [kept.number for kept in kept_touches(folder)] == [4]
+    assert folder.stat().st_mode & 0o007 == 0
 
 
 def test_a_folder_that_is_missing_holds_no_touches(tmp_path: Path) -> None:
@@ -558,16 +510,6 @@ def test_other_pads_and_forgotten_frames_are_not_kept(store: TouchStore, tmp_pat
     sink.put(msgspec.structs.replace(touch.ended, touch=2))
     sink.stop(WITHIN_S)
     assert [kept.number for kept in kept_touches(tmp_path / "touches")] == [1]
-
-
-def test_a_pad_off_54_hz_is_kept_as_sent(tmp_path: Path) -> None:
-    counts = np.zeros((8, 8), np.uint16)
-    frames = tuple(Frame(10 * i, 0.0, counts) for i in range(300))
-    began = TouchBegan(touch=1, time="", sensor_ms=1157)
-    pieces = cut(replace(ended_touch(1), began=began, frames=frames, noticed=121, end_ms=2004))
-    assert (pieces.touch[0].sensor_ms, pieces.touch[-1].sensor_ms) == (1160, 2000)
-    assert pieces.before[0].sensor_ms == 160
-    assert pieces.rate == "100.00 Hz, 0 frames lost"
 
 
 def test_the_description_of_the_pad_is_the_configured_one(tmp_path: Path) -> None:
