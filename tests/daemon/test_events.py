@@ -117,10 +117,6 @@ def test_a_reason_is_one_short_line(reason: str) -> None:
         assert decode(encode(event)) == event
 
 
-def test_a_short_reason_is_left_as_it_is() -> None:
-    assert one_line("grün: no permission to open /dev/ttyACM0") == "grün: no permission to open /dev/ttyACM0"
-
-
 def test_a_model_with_long_or_odd_names_is_refused() -> None:
     metadata("n" * 64, [f"{number:02}" + "l" * 22 for number in range(12)])
     for name, labels in (("n" * 65, ["a"]), ("n", ["l" * 25]), ("n", ["a"] * 13), ("é", ["a"]), ("n", ['"'])):

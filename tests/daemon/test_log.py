@@ -12,7 +12,7 @@ from rigs.wait import WITHIN_S
 from touchd.daemon.app.cli import main
 from touchd.daemon.app.log import MOST_LINES, LogGate, LogWriter
 from touchd.daemon.doctor.check import Check
-from touchd.drivers.errors import MAX_LINE_BYTES, TouchdError, one_line
+from touchd.drivers.errors import MAX_LINE_BYTES, one_line
 
 HOSTILE = "one\nERROR root: forged\r\x1b]0;title\x07\x1b[2J\u202egnp.exe\x00\ud800\x9b31m"
 
@@ -23,10 +23,6 @@ def test_foreign_text_is_printable_and_short() -> None:
     assert said.startswith(r"one\nERROR root: forged\r\x1b]0;title\x07\x1b[2J\u202egnp.exe\x00\ud800\x9b31m")
     assert len(said.encode()) <= MAX_LINE_BYTES
     assert one_line("grün: 触れる ✓") == "grün: 触れる ✓"
-
-
-def test_an_errors_message_is_printable() -> None:
-    assert str(TouchdError(f"port {HOSTILE}")).isprintable()
 
 
 def test_a_check_shows_what_a_robot_answered_printably() -> None:
@@ -88,12 +84,6 @@ def test_the_command_line_shows_no_control_characters(
     assert main([word.replace("\0", "").replace("\ud800", "") for word in words]) == 2
     said = capfd.readouterr().err
     assert said.removesuffix("\n").isprintable()
-
-
-def test_a_record_becomes_one_printable_line() -> None:
-    gone = record("closed: %s", HOSTILE)
-    assert LogGate().filter(gone)
-    assert logging.Formatter("%(message)s").format(gone).isprintable()
 
 
 def test_a_trace_cannot_forge_a_log_line() -> None:

@@ -12,7 +12,6 @@ from rigs.expectations import GESTURES, LENGTHS, beginning_of, expected, outline
 from rigs.made_events import PREDICTION
 from rigs.patient_port import PATIENT, playing
 from rigs.peers import broker, needs_mosquitto, subscribed
-from rigs.programs import TOUCHD, Program
 from rigs.robots import Robot
 from rigs.running_daemon import run_daemon
 from rigs.sockets import free_port
@@ -40,9 +39,7 @@ from touchd.daemon.robot.sink import link_to_robot
 from touchd.daemon.sinks.touch_store import folder_of, kept_touches
 from touchd.daemon.sinks.touches import decode, read_journal
 from touchd.drivers.fakes.fake_port import FakePort
-from touchd.drivers.pad.format import PRESETS, PadFormat
-from touchd.drivers.pad.parser import FrameParser
-from touchd.drivers.pad.port import open_port, read_waiting
+from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.queue import Signal
 from touchd.drivers.recording import Stream, ideal_clock_ms
 from touchd.drivers.robot.session import RobotSettings
@@ -268,16 +265,3 @@ def test_doctor_record_and_classify_use_the_named_pad(
     events = map(decode, capfd.readouterr().out.splitlines())
     answers = [event for event in events if isinstance(event, Prediction)]
     assert [event.told for event in answers if event.stage in ("early", "revised")] == [False] * 2
-
-
-def test_replay_plays_as_the_pad_that_is_named(tmp_path: Path) -> None:
-    path = tmp_path / "touchd.yaml"
-    path.write_text("sensors: {head: {port: a}, arm: {port: b, format: m1616}}")
-    with Program(*TOUCHD, "replay", GESTURES, "-c", path, "--pad", "arm") as replay:
-        try:
-            with open_port(replay.stdout.readline().strip(), 115200) as opened:
-                parser = FrameParser(PRESETS["m1616"])
-                while not parser.feed(read_waiting(opened, parser), 0.0):
-                    pass
-        finally:
-            replay.terminate()

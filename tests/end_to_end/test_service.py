@@ -189,11 +189,6 @@ def test_a_page_that_nobody_watches_does_not_hurry_the_reader() -> None:
     assert pad.sensor.frames_together > 1
 
 
-def test_a_daemon_that_tells_nobody_ends_as_any_other() -> None:
-    settings = Settings(sensor=SensorSettings(port="/dev/nobody"), journal=None)
-    Service(settings).run(lambda: True)
-
-
 def needs(program: str) -> pytest.MarkDecorator:
     return pytest.mark.skipif(shutil.which(program) is None, reason=f"{program} is not installed")
 

@@ -10,7 +10,7 @@ import torch
 
 from touchd.model.adapt.augment import Frames, as_another_pad, as_quiet_pad, crop, vary
 from touchd.model.settings import AugmentationSettings
-from touchd.model.studies.checks.disturb import DISTURBANCES, breathing, curved, half_pressure, rest_shifted
+from touchd.model.studies.checks.disturb import DISTURBANCES
 from touchd.model.studies.checks.hard_cases import checkerboard, hand
 
 OFF = AugmentationSettings(
@@ -61,32 +61,6 @@ def test_a_disturbed_window_stays_in_range(name: str) -> None:
     assert disturbed.shape == windows.shape
     assert disturbed.dtype == np.float32
     assert 0 <= disturbed.min() <= disturbed.max() <= 1023
-
-
-def test_half_the_pressure_leaves_the_rest_alone() -> None:
-    counts = np.array([0.0, 1.0, 2.0, 102.0], dtype=np.float32)
-    np.testing.assert_allclose(half_pressure(counts), [0.0, 1.0, 2.0, 52.0])
-
-
-def test_the_rest_shifts_where_the_touch_before_pressed() -> None:
-    windows = np.zeros((2, 9, 8, 8), dtype=np.float32)
-    windows[0, :, :4] = 50.0
-    shifted = rest_shifted(windows)
-    assert (shifted[1, :, :4] == 5).all()
-    assert (shifted[1, :, 4:] == 0).all()
-
-
-def test_a_breathing_pad_rises_and_falls_every_two_seconds() -> None:
-    breathed = breathing(np.full((1, 216, 8, 8), 50.0, dtype=np.float32))[0, :, 0, 0] - 50
-    assert np.abs(np.fft.rfft(breathed)).argmax() == 2
-    assert breathed.max() == pytest.approx(4, abs=0.1)
-
-
-def test_a_curved_pad_feels_less_at_its_edges() -> None:
-    bent = curved(np.full((1, 1, 8, 8), 100.0, dtype=np.float32))[0, 0, 0]
-    assert bent[0] == pytest.approx(62, abs=1)
-    assert bent[3] == pytest.approx(99, abs=1)
-    np.testing.assert_allclose(bent, bent[::-1], rtol=1e-4)
 
 
 def test_a_crop_is_played_at_another_pace() -> None:
