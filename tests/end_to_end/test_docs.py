@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from touchd.daemon.app.cli import COMMANDS, module_of
+from touchd.daemon.app.config import load
 from touchd.model.studies.__main__ import STUDIES, main
 
 ROOT = Path(__file__).parents[2]
@@ -63,3 +64,12 @@ def test_every_command_can_be_typed_as_it_stands(page: Path) -> None:
             assert {word for word in rest if "=" not in word} <= TARGETS, rest
         elif rest[:2] == ["-m", "touchd.model.studies"]:
             assert rest[2] in STUDIES, rest
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_configuration_on_a_page_is_accepted(page: Path, tmp_path: Path) -> None:
+    for block in re.findall(r"```yaml\n(.*?)```", page.read_text(), re.DOTALL):
+        path = tmp_path / "touchd.yaml"
+        # What is commented out is accepted, too.
+        path.write_text(re.sub(r"^( *)#(\w)", r"\1\2", block, flags=re.MULTILINE))
+        load(path)
