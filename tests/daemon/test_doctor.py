@@ -63,11 +63,6 @@ def test_a_missing_port_says_what_to_do_within_80_columns(capsys: pytest.Capture
     assert all(len(line) <= 80 for line in shown.splitlines())
 
 
-def test_a_missing_configuration_is_a_users_mistake(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["doctor", "-c", "nowhere.yaml"]) == 2
-    assert "nowhere.yaml: cannot be read" in capsys.readouterr().err
-
-
 def test_a_port_busy_with_the_service_is_recognised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     port = pad_of(resting(1.0))
     settings = Settings(sensor=SensorSettings(port=port.path))

@@ -1,9 +1,7 @@
 """`touchd init`: finds pad and robot, and writes a configuration that runs."""
 
-import argparse
 import errno
 import os
-import subprocess
 import termios
 from pathlib import Path
 from typing import Any
@@ -18,10 +16,8 @@ from rigs.doctor_rig import pad_read_too_fast
 from rigs.expectations import RECORDINGS, stream_of
 from rigs.haart_folder import needs_third_study
 from rigs.pressing import SECONDS, pressed
-from rigs.programs import TOUCHD, Program
 from rigs.robots import LOGIN, Robot
 from rigs.terminal import Terminal
-from rigs.wait import WITHIN_S
 
 from touchd.daemon.app.config import ConfigError, SensorSettings, load
 from touchd.daemon.commands import init
@@ -29,9 +25,7 @@ from touchd.daemon.commands.init import main
 from touchd.daemon.doctor import hand, machine
 from touchd.daemon.doctor.hand import turned_with_a_hand
 from touchd.daemon.doctor.port import LastingName
-from touchd.daemon.path.events import SensorEvent
 from touchd.daemon.playback.rig import encoder_for
-from touchd.daemon.sinks.touches import decode
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.pad.port import SensorError, open_port
@@ -87,11 +81,12 @@ def test_a_port_that_was_found_is_written_by_a_name_that_lasts(
     assert load(FILE).sensor.port == str(lasting)
 
 
-@pytest.mark.parametrize("typed", ["16", "3x8", "8x65", "x", "8x8x8"])
+@pytest.mark.parametrize("typed", ["16", "3x8", "8x65", "x", "8x8x8", "10\n"])
 def test_a_grid_that_is_none_is_refused(typed: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         write("--grid", typed)
-    assert "is not ROWSxCOLUMNS of 4 to 64 each, as in 16x16" in capsys.readouterr().err
+    said = f"{typed.strip()!r} is not ROWSxCOLUMNS of 4 to 64 each, as in 16x16"
+    assert said in capsys.readouterr().err
 
 
 def test_without_a_terminal_the_grid_has_to_be_told(
@@ -136,31 +131,43 @@ def test_a_pad_that_nobody_presses_is_refused_in_one_line(
     assert not FILE.exists()
 
 
-def test_no_address_can_break_the_file() -> None:
-    address = 'x: {"y": # 😀'
-    with pytest.raises(RobotError, match="is not a robot's name or address"):
-        write("--robot", address)
-    assert write("--port", address, "--baud", "9600") == 1
-    assert load(FILE).sensor.port == address
-
-
-@pytest.mark.parametrize("port", [".", __file__, "tcp://10.0.0.5"])
-def test_what_is_not_a_port_is_refused_without_a_file(port: str) -> None:
-    with pytest.raises(SensorError, match=r"is not a serial port|lacks its port"):
-        write("--port", port)
-    assert not FILE.exists()
-
-
-def test_a_file_that_cannot_be_written_is_reported_at_once(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(ConfigError, match=r"cannot be written .*; give another path"):
-        write("missing/touchd.yaml", "--port", "Größe 😀", "--baud", "9600")
+@pytest.mark.parametrize(
+    ("options", "kind", "message"),
+    [
+        (["--port", "."], SensorError, "is not a serial port"),
+        (["--port", "tcp://10.0.0.5"], SensorError, "lacks its port"),
+        (["--port", "none", "--robot", 'x: {"y": # 😀'], RobotError, "is not a robot's name or address"),
+        (["missing/touchd.yaml", "--port", "none"], ConfigError, r"cannot be written .*; give another path"),
+    ],
+)
+def test_what_cannot_work_is_refused_at_once(
+    options: list[str], kind: type[Exception], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(kind, match=message):
+        write(*options)
     assert os.listdir() == []
     assert capsys.readouterr().err == ""
 
 
-def test_without_a_pad_the_file_describes_a_fabric_pad() -> None:
-    assert write("--port", "none") == 1
-    assert load(FILE).sensor == SensorSettings(port="none")
+def test_a_full_disk_leaves_no_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(path: Path, text: str, encoding: str) -> None:
+        path.touch()
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "write_text", full)
+    with pytest.raises(ConfigError, match="No space left on device"):
+        write("--port", "none")
+    assert os.listdir() == []
+
+
+def test_without_pad_and_robot_the_file_has_the_likeliest(capsys: pytest.CaptureFixture[str]) -> None:
+    port, host = 'x: {"y": # 😀', "no-such-robot.invalid"
+    assert main(["--port", port, "--baud", "9600", "--robot", host]) == 1
+    settings = load(FILE)
+    assert settings.sensor == SensorSettings(port=port, baud=9600)
+    assert settings.robot is not None
+    assert settings.robot.url == f"tcp://{host}:9559"
+    assert f"trying tcp://{host}:9559 ...\ntrying tcps://{host}:9503 ...\n" in capsys.readouterr().err
 
 
 def test_a_port_that_another_program_reads_is_no_missing_pad() -> None:
@@ -182,29 +189,6 @@ def test_how_a_pad_lies_is_written_beside_what_it_sends(
     monkeypatch.setattr(init, "_find", lambda *_: init.Found("none", 512_000, replace(sent, **lies)))
     assert write() == 0
     assert load(FILE).sensor == SensorSettings(port="none", format=sent if changed else "fabric-grid", **lies)
-
-
-def test_a_full_disk_leaves_no_file(monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(path: Path, text: str, encoding: str) -> None:
-        path.touch()
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(Path, "write_text", full)
-    with pytest.raises(ConfigError, match="No space left on device"):
-        write("--port", "none")
-    assert os.listdir() == []
-
-
-def test_the_file_is_written_even_without_a_pad() -> None:
-    assert write("--port", "none", "--baud", "115200") == 1
-    assert load(FILE).sensor.described == SensorSettings().described
-
-
-def test_the_end_of_input_means_no_robot() -> None:
-    with Terminal("init", "--port", "none") as terminal:
-        terminal.until("(Enter: no robot): ")
-        terminal.answer("\x04", " doctor -c")
-    assert load(FILE).robot is None
 
 
 @pytest.mark.parametrize(
@@ -241,17 +225,6 @@ def test_a_grid_that_only_one_search_found_is_not_proposed(monkeypatch: pytest.M
     monkeypatch.setattr(hand, "search", lambda *_: next(searches))
     unused: Any = None
     assert hand.find_with_a_hand(Console(quiet=True), unused, (8, 8))[0] == firmer
-
-
-def test_a_silent_robot_is_written_with_its_likeliest_address(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    host = "no-such-robot.invalid"
-    assert main(["--port", "none", "--robot", host]) == 1
-    found = load(FILE).robot
-    assert found is not None
-    assert found.url == f"tcp://{host}:9559"
-    assert f"trying tcp://{host}:9559 ...\ntrying tcps://{host}:9503 ...\n" in capsys.readouterr().err
 
 
 def test_the_robot_is_asked_for_until_it_is_an_address() -> None:
@@ -325,39 +298,3 @@ def test_all_is_asked_again_until_the_picture_follows() -> None:
         terminal.answer("y", "The robot's name or address")
         terminal.answer("", " doctor -c")
     assert load(FILE).sensor.described == PRESETS["fabric-grid"]
-
-
-@pytest.mark.slow
-def test_the_robot_is_asked_for_tried_and_used(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_STATE_HOME", str(Path("state").absolute()))
-    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
-    with Robot() as robot, FakePort(wandering_then_held(1, 1, 4.0), ENCODE, loop=True) as port:
-        with Terminal("init", "--port", port.path, "--baud", "115200") as terminal:
-            # init asks for presses; the stream contains them.
-            terminal.until("Rows and columns? [10x10] (as fabric-grid)")
-            terminal.answer("10", "'10' is not ROWSxCOLUMNS of 4 to 64 each, as in 16x16")
-            terminal.answer("", "Leave the pad alone")
-            terminal.until("Press firmly in the middle")
-            terminal.until("Touch the corner that should be top left")
-            terminal.until("Does the picture follow it? [Y/n]")
-            terminal.answer("y")
-            terminal.until("The robot's name or address")
-            terminal.answer("nao local", "is not a robot's name or address, such as nao.local")
-            terminal.until("The robot's name or address")
-            terminal.answer(robot.url.removeprefix("tcp://"), f"trying {robot.url} ...")
-            assert "pad: fabric-grid 10x10" in terminal.until("robot: ")
-            assert robot.url in terminal.until(" doctor -c")
-            assert terminal.process.wait(WITHIN_S) == 0
-        assert load(FILE).robot is not None
-        with Program(*TOUCHD, "run", "-c", FILE, stderr=subprocess.DEVNULL) as daemon:
-            robot.calls.wait_for_raise("TouchGesture/Status", "up")
-            first = next(decode(line) for line in daemon.stdout if "sensor" in line)
-            assert isinstance(first, SensorEvent)
-            daemon.terminate()
-            assert daemon.wait(WITHIN_S) == 0
-    assert Path("state/touchd/events.jsonl").stat().st_size > 0
-
-
-def test_a_wrong_grid_is_quoted_without_its_line_end() -> None:
-    with pytest.raises(argparse.ArgumentTypeError, match=r"^'10' is not ROWSxCOLUMNS"):
-        hand.grid_of("10\n")

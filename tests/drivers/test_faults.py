@@ -3,14 +3,11 @@
 import logging
 import time
 from collections.abc import Callable
-from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
 from rigs.formats import encode_fabric_grid
-from rigs.made_events import touch
-from rigs.peers import RosbridgePeer
 from rigs.robots import linked
 from rigs.sensor_rig import next_frames, sensing, stream_of
 from rigs.stub_robot import StubRobot
@@ -79,24 +76,6 @@ def test_a_lost_robot_is_retried_quickly(paused: Paused) -> None:
         pauses.clear()
         robot.kill()
         assert first(pauses) <= 0.02
-
-
-def test_a_bridge_retries_a_lost_peer_quickly(
-    tmp_path: Path, paused: Paused, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip("websockets")
-    # The connection lasts long enough to count.
-    monkeypatch.setattr("touchd.daemon.bridges.bridge.STEADY_S", 0.0)
-    pauses = paused("touchd.daemon.bridges.bridge")
-    with closing(RosbridgePeer(tmp_path)) as peer:
-        bridge = peer.bridge()
-        wait_for(lambda: pauses[-1:] > [0.2])
-        peer.start()
-        bridge.put(touch(1))
-        peer.await_received(1)
-        pauses.clear()
-        peer.stop()
-        assert first(pauses) <= 0.1
 
 
 def lines(caplog: pytest.LogCaptureFixture, *lasting_s: tuple[float, float]) -> list[str]:

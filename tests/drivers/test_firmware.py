@@ -1,6 +1,5 @@
 """The firmware on a simulated board: pin values arrive as frames at 54 Hz, without loss."""
 
-import json
 import os
 import pty
 import re
@@ -19,7 +18,6 @@ from rigs.mega_rig import FIRMWARE, Board, Run, build, build_board, compiler_mis
 from rigs.pad_circuit import SUPPLY_V, column_volts, pad, pressure
 from rigs.sensor_rig import next_frames, sensing
 
-from touchd.daemon.app import cli
 from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT, Frame
 
 requires_compiler = pytest.mark.skipif(
@@ -184,16 +182,3 @@ def test_a_teensy_gives_the_same_frames(folder: Path, size: int) -> None:
     row, column = np.mgrid[1:9, 1:9] if size == 10 else np.mgrid[0:8, 0:8]
     for scan, frame in enumerate(frames):
         np.testing.assert_array_equal(frame.pressure, MAX_COUNT - (100 * row + 10 * column + scan % 10))
-
-
-@pytest.mark.slow
-def test_the_doctor_finds_the_board_in_order(board: MakeBoard, capsys: pytest.CaptureFixture[str]) -> None:
-    at_rest = np.random.default_rng(1).integers(1018, 1022, (500, 10, 10)).astype(np.uint16)
-    with port_of(lambda output: board().start(at_rest, 60.0, output, paced=True)) as path:
-        cli.main(["doctor", "--port", path, "--json"])
-    checks = {check["name"]: check for check in json.loads(capsys.readouterr().out)["checks"]}
-    in_order = ("port", "protocol", "line", "quiet", "rest", "noise", "taxels")
-    assert [checks[name]["verdict"] for name in in_order] == ["ok"] * len(in_order)
-    # Its verdict may be a warning: on a busy machine the simulated board lags.
-    rate = checks["rate"]["figures"]
-    assert (rate["rate_hz"], rate["lost"]) == (pytest.approx(FRAME_RATE_HZ, abs=0.3), 0)

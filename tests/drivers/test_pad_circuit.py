@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from rigs.mega_rig import FIRMWARE, SKETCH
 from rigs.pad_circuit import (
     PULL_UP_OHM,
-    REST_OHM,
     ROW_RESISTOR_OHM,
     column_volts,
     pad,
@@ -25,46 +24,34 @@ def counts(taxels_ohm: NDArray[np.float64], *, others_high: bool = True) -> NDAr
     return np.rint(pressure(column_volts(taxels_ohm, others_high=others_high))).astype(np.int64)
 
 
-def said(pattern: str) -> list[float]:
-    """Return the figures in the page's text that match a pattern."""
-    found = re.search(pattern, PAGE)
-    assert found is not None, pattern
-    return [float(figure) for figure in found.groups()]
-
-
-def test_an_untouched_corner_of_a_rectangle_stays_untouched() -> None:
-    touched = counts(CORNERS)[[2, 2, 6], [2, 6, 2]]
-    assert touched.min() > 300
-    figures = said(r"would read (\d+) counts; driven it reads (\d+), at a rest of (\d+)")
-    assert figures == [counts(CORNERS, others_high=False)[6, 6], counts(CORNERS)[6, 6], counts(pad())[6, 6]]
-
-
-def test_two_presses_reduce_each_other_as_documented() -> None:
-    alone, column = counts(pad((2, 2)))[2, 2], counts(pad((2, 2), (6, 2)))[2, 2]
-    row = counts(pad((2, 2), (2, 6)))[2, 2]
-    assert said(r"(\d+) counts become (\d+) \(two in one row: (\d+)\)") == [alone, column, row]
-
-
-def test_a_press_reads_the_documented_counts() -> None:
-    pressed_ohm = [30_000.0, 10_000.0, 3_000.0, 1_000.0, 300.0]
-    figures = said(r"\| counts \| (\d+) \| (\d+) \| (\d+) \| (\d+) \| (\d+) \|")
-    assert figures == [counts(pad((3, 4), ohm=ohm))[3, 4] for ohm in pressed_ohm]
-
-
-def test_a_weak_pull_up_gives_a_rest_of_ten() -> None:
-    assert pytest.approx(REST_OHM / 100) == PULL_UP_OHM
-    assert counts(pad()).mean() == pytest.approx(10, abs=2)
-
-
-def test_a_column_without_pull_up_shows_in_its_rest() -> None:
-    (rest,) = said(r"a column that rests at some (\d+) counts")
-    unpulled = pressure(column_volts(pad(), pull_up_ohm=1e12))
-    np.testing.assert_allclose(unpulled, rest, atol=5)
+@pytest.mark.parametrize(
+    ("said", "figures"),
+    [
+        (
+            r"would read (\d+) counts; driven it reads (\d+), at a rest of (\d+)",
+            [counts(CORNERS, others_high=False)[6, 6], counts(CORNERS)[6, 6], counts(pad())[6, 6]],
+        ),
+        (
+            r"(\d+) counts become (\d+) \(two in one row: (\d+)\)",
+            [counts(pad((2, 2), *other))[2, 2] for other in ((), ((6, 2),), ((2, 6),))],
+        ),
+        (
+            r"\| counts \| (\d+) \| (\d+) \| (\d+) \| (\d+) \| (\d+) \|",
+            [counts(pad((3, 4), ohm=ohm))[3, 4] for ohm in (30_000.0, 10_000.0, 3_000.0, 1_000.0, 300.0)],
+        ),
+        (
+            r"draws (\d+) mA through a row's pin",
+            [round(row_milliamperes(np.full((10, 10), 1_000.0)))],
+        ),
+    ],
+)
+def test_the_page_has_the_circuits_figures(said: str, figures: list[float]) -> None:
+    found = re.search(said, PAGE)
+    assert found is not None, said
+    assert list(map(float, found.groups())) == figures
 
 
 def test_no_pin_is_overloaded_however_hard_the_press() -> None:
-    (milliamperes,) = said(r"draws (\d+) mA through a row's pin")
-    assert round(row_milliamperes(np.full((10, 10), 1_000.0))) == milliamperes
     assert row_milliamperes(np.full((10, 10), 1.0)) < 40
 
 

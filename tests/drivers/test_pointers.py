@@ -16,14 +16,11 @@ from touchd.drivers.fakes.pointers import Pointer, PressingHands, Size
 from touchd.drivers.frame import FRAME_RATE_HZ, Counts
 from touchd.drivers.recording import Recording, read_recordings
 from touchd.model.classifier import Classifier
-from touchd.model.training.contacts import contacts, lightest
 
 REST = round(FRAME_RATE_HZ)
 NOISE_COUNTS = 3.0
 LIGHTEST_LOAD = 12.0
 SEEDS = 5
-# Of a quick stroke.
-SHORT_FRAMES, LONG_FRAMES = 20, 43
 
 # Where a pointer is after a time in seconds, as shares of the pad; None when it is up.
 Route: TypeAlias = Callable[[float], tuple[float, float] | None]
@@ -120,51 +117,6 @@ def test_a_click_strikes_as_a_pat_does(click_s: float) -> None:
     assert 120 < loads.max() < 440
     assert loads.argmax() - touched[0] <= 2
     assert loads[touched[0] + 6 :].max() < 0.25 * loads.max()
-
-
-def passes(counts: NDArray[np.float64]) -> list[tuple[float, float, float]]:
-    """Return of each contact of a stroke when half of its load is over, its spread in taxels and its area.
-
-    counts: (T, 8, 8) above rest.
-    """
-    recording = Recording("", "", "", "stroke", counts, np.arange(len(counts)), "live")
-    measured = []
-    for first, stop in contacts(recording, is_soft=False):
-        rise = np.maximum(counts[first:stop] - NOISE_COUNTS, 0.0)
-        load = rise.sum(axis=(1, 2))
-        if not SHORT_FRAMES <= stop - first <= LONG_FRAMES:
-            continue
-        share = rise[load > 0] / load[load > 0, None, None]
-        row, column = (np.einsum("trc,rc->t", share, axis) for axis in np.mgrid[:8, :8])
-        rows, columns = np.mgrid[:8, :8]
-        away = (rows - row[:, None, None]) ** 2 + (columns - column[:, None, None]) ** 2
-        measured.append(
-            (
-                float((load * np.arange(len(load))).sum() / load.sum() / (len(load) - 1)),
-                float(np.median(np.sqrt((share * away).sum(axis=(1, 2))))),
-                float(np.median((rise > 0).sum(axis=(1, 2)))),
-            )
-        )
-    return measured
-
-
-@needs_haart
-def test_a_quick_stroke_is_as_even_and_as_large_as_peoples(haart: list[Recording]) -> None:
-    real = [
-        of_pass
-        for recording in haart
-        if recording.gesture == "stroke"
-        for of_pass in passes(recording.counts - lightest(recording.counts))
-    ]
-    (kind,) = (kind for kind in KINDS if kind.name == "stroke of 0.5 to 0.7 s")
-    made = []
-    for seed in range(4 * SEEDS):
-        counts = counts_of(kind, seed)
-        made += passes(counts - counts[:REST].mean(axis=0))
-    low, high = np.quantile(real, (0.25, 0.75), axis=0)
-    median = np.median(made, axis=0)
-    assert (low <= median).all(), (low, median)
-    assert (median <= high).all(), (median, high)
 
 
 # Those that the network is sure of; docs/live.md has the figures of all.
