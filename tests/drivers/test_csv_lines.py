@@ -175,15 +175,6 @@ def test_a_line_is_numbers_after_the_first_label(
     assert numbers_in(printed) == (numbers, label)
 
 
-def test_half_a_frame_after_a_reconnect_is_not_damage() -> None:
-    parser = FrameParser(PadFormat(framing="text", rows=5, columns=6))
-    frame = "".join(",".join(map(str, cells)) + "\n" for cells in ROWS) + "\n"
-    assert len(parser.feed((frame * 3).encode(), 0.0)) == 2
-    parser.reset()
-    assert len(parser.feed((frame[40:] + frame * 2).encode(), 0.0)) == 2
-    assert parser.counts.bad == 0
-
-
 def test_a_wide_line_with_words_is_read_and_an_endless_one_is_not() -> None:
     described = PadFormat(framing="text", rows=4, columns=4, tail=3)
     wide = ("words " * 42 + "".join(f"{number:>24}" for number in range(19))).encode() + b"\n"

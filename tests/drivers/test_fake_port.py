@@ -84,27 +84,6 @@ def test_a_looped_stream_continues_with_its_clock() -> None:
     np.testing.assert_array_equal(frames[5].pressure, frames[0].pressure)
 
 
-def test_flat_out_the_stream_waits_for_a_reader() -> None:
-    stream = stream_of(600)
-    parser = FabricGrid()
-    with FakePort(stream, encode_fabric_grid, speed=None) as port:
-        with opened(port) as reader:
-            assert len(reader.read(10 * SIZE)) == 10 * SIZE
-        assert not port.wait(0.1)
-        with opened(port) as reader:
-            frames = parser.feed(read_to_end(port, reader), 0.0)
-    assert frames[-1].sensor_ms == stream.sensor_ms[-1]
-
-
-def test_at_a_pace_frames_due_while_nobody_reads_are_lost() -> None:
-    stream = stream_of(30)
-    with FakePort(stream, encode_fabric_grid, speed=2.0) as port:
-        with opened(port) as reader:
-            assert len(reader.read(3 * SIZE)) == 3 * SIZE
-        assert not port.wait(5.0)
-    assert np.isnan(port.sent_s[-1])
-
-
 def test_when_it_stops_the_reader_sees_the_device_go() -> None:
     port = FakePort(stream_of(5), encode_fabric_grid)
     port.start()

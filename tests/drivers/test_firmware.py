@@ -1,13 +1,9 @@
 """The firmware on a simulated board: pin values arrive as frames at 54 Hz, without loss."""
 
-import os
-import pty
 import re
 import shutil
 import subprocess
-import tty
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +12,6 @@ from numpy.typing import NDArray
 from rigs.formats import FabricGrid
 from rigs.mega_rig import FIRMWARE, Board, Run, build, build_board, compiler_missing, simulator_missing
 from rigs.pad_circuit import SUPPLY_V, column_volts, pad, pressure
-from rigs.sensor_rig import next_frames, sensing
 
 from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT, Frame
 
@@ -43,21 +38,6 @@ def parser_for(rows: int) -> FabricGrid:
 
 def steps_ms(frames: list[Frame]) -> NDArray[np.int64]:
     return np.diff([frame.sensor_ms for frame in frames])
-
-
-@contextmanager
-def port_of(start: Callable[[int], subprocess.Popen[str]]) -> Iterator[str]:
-    """Yield the serial port of a board; `start` gets the file descriptor that it sends to."""
-    master, slave = pty.openpty()
-    tty.setraw(slave)
-    process = start(master)
-    try:
-        yield os.ttyname(slave)
-    finally:
-        process.kill()
-        process.communicate()
-        os.close(slave)
-        os.close(master)
 
 
 @pytest.fixture(scope="module")
@@ -132,17 +112,6 @@ def test_a_row_has_settled_before_it_is_read(run: Run) -> None:
     assert run.least_settling_us >= 50
 
 
-def test_our_driver_reads_the_board_on_a_serial_port(board: MakeBoard) -> None:
-    pictures = pictures_of(10, 10)
-    with port_of(lambda output: board().start(pictures, 5.0, output)) as path, sensing(path) as queue:
-        frames = next_frames(queue, 50)
-    pressed = MAX_COUNT - pictures[:, 1:9, 1:9]
-    (first,) = np.flatnonzero((pressed == frames[0].pressure).all(axis=(1, 2)))
-    for frame, expected in zip(frames, pressed[first:], strict=False):
-        np.testing.assert_array_equal(frame.pressure, expected)
-    assert set(steps_ms(frames)) <= {17, 18, 19, 20}
-
-
 def test_a_slow_line_skips_scans_and_keeps_the_clock(board: MakeBoard) -> None:
     pictures = pictures_of(10, 10)
     run = board(baud=57_600).run(pictures, RUN_S)
@@ -154,11 +123,6 @@ def test_a_slow_line_skips_scans_and_keeps_the_clock(board: MakeBoard) -> None:
     np.testing.assert_allclose([frame.sensor_ms for frame in frames], began_ms, atol=2.0)
     for frame, picture in zip(frames, pictures, strict=False):
         np.testing.assert_array_equal(frame.pressure, MAX_COUNT - picture[1:9, 1:9])
-
-
-def test_512000_and_500000_baud_are_the_same_to_a_mega(board: MakeBoard) -> None:
-    runs = [board(baud=baud).run(pictures_of(10, 10), 0.1) for baud in (512_000, 500_000)]
-    assert runs[0].until_sent_ms == runs[1].until_sent_ms
 
 
 def test_a_pad_of_resistors_reads_as_the_circuit_predicts(board: MakeBoard) -> None:

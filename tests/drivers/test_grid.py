@@ -2,24 +2,17 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rigs.formats import encode_fabric_grid
-from rigs.sensor_rig import next_frames, sensing, stream_of
+from rigs.sensor_rig import stream_of
 
-from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import CLOCK_MODULUS, Counts, Frame
 from touchd.drivers.pad.grid import PERIOD_MS, GridFrame, Ring
 from touchd.drivers.recording import (
-    Recording,
-    Stream,
     ideal_clock_ms,
     on_grid,
-    read_recordings,
-    write_recordings,
 )
 from touchd.model.studies.simulated import simulate
 
@@ -113,10 +106,14 @@ def test_lost_frames_are_bridged_and_marked(lost: list[int]) -> None:
     ],
     ids=["gap too long to bridge", "reboot"],
 )
-def test_a_clock_that_jumps_restarts_the_grid(clock_ms: Sequence[int]) -> None:
-    laid = push(new_ring(), stream_of(len(clock_ms)).counts, clock_ms)
+def test_a_clock_that_jumps_and_a_reset_restart_the_grid(clock_ms: Sequence[int]) -> None:
+    ring = new_ring()
+    laid = push(ring, stream_of(len(clock_ms)).counts, clock_ms)
     assert [frame.index for frame in laid] == list(range(len(clock_ms)))
     assert [frame.index for frame in laid if frame.restarted] == [0, 50]
+    ring.reset()
+    again = push(ring, stream_of(2).counts, [clock_ms[-1] + 18, clock_ms[-1] + 37])
+    assert [frame.restarted for frame in again] == [True, False]
 
 
 @pytest.mark.parametrize("first_ms", [5000, CLOCK_MODULUS - 1500], ids=["", "over the wrap"])
@@ -179,14 +176,6 @@ def test_duplicates_and_late_frames_leave_no_trace() -> None:
     np.testing.assert_array_equal(ring.window(100, 100), counts)
 
 
-def test_a_reset_restarts_the_grid_at_the_next_frame() -> None:
-    ring, counts = new_ring(), stream_of(40).counts
-    push(ring, counts[:20], ideal_clock_ms(20))
-    ring.reset()
-    laid = push(ring, counts[20:], ideal_clock_ms(40)[20:])
-    assert [(frame.index, frame.restarted) for frame in laid[:2]] == [(20, True), (21, False)]
-
-
 def test_the_ring_refuses_frames_it_no_longer_has() -> None:
     ring, counts = new_ring(capacity=50), stream_of(500).counts
     push(ring, counts, ideal_clock_ms(500))
@@ -206,26 +195,6 @@ def test_a_random_clock_yields_a_bounded_number_of_frames() -> None:
         assert len(laid) <= 1
     for ms in np.cumsum(rng.integers(0, 160, 2000)):
         assert len(ring.push(Frame(int(ms), 0.0, zeros))) <= 10
-
-
-@pytest.mark.parametrize("rate_hz", [54.0, 60.0])
-def test_port_and_file_give_the_model_the_same_frames(tmp_path: Path, rate_hz: float) -> None:
-    rng = np.random.default_rng(5)
-    at_ms = np.delete(np.arange(200), [80, 81, 120]) * 1000 / rate_hz
-    clock_ms = np.rint(5000 + at_ms + rng.uniform(-1, 1, len(at_ms))).astype(np.int64)
-    counts = stream_of(len(clock_ms)).counts
-    write_recordings(
-        tmp_path / "a.csv", [Recording("A", "none", "none", "pat", counts, clock_ms, "live")], {}
-    )
-    (from_file,) = map(on_grid, read_recordings(tmp_path / "a.csv"))
-
-    ring = new_ring()
-    with (
-        FakePort(Stream(counts, clock_ms, ()), encode_fabric_grid, speed=None) as port,
-        sensing(port.path) as q,
-    ):
-        laid = [laid for frame in next_frames(q, len(counts)) for laid in ring.push(frame)]
-    np.testing.assert_array_equal(ring.window(len(laid), len(laid)), from_file.counts)
 
 
 @pytest.mark.parametrize(("gap", "longest"), [(40, slice(40, None)), (120, slice(120))])

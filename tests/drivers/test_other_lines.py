@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 from rigs.formats import CsvLines, FabricGrid, encode_csv_line, encode_fabric_grid
 from rigs.sensor_rig import assert_played, next_frames, next_state, sensing, stream_of
-from rigs.sockets import free_port
 
 from touchd.drivers.frame import Frame
 from touchd.drivers.pad.format import PadFormat
@@ -54,18 +53,6 @@ def test_no_frame_spans_a_reconnect() -> None:
                 with server.accept()[0] as connection:
                     connection.sendall(sent)
             assert_played(next_frames(queue, 37), STREAM, [*range(1, 20), *range(22, 40)])
-
-
-def test_a_tcp_pad_that_is_switched_on_later_is_found() -> None:
-    port = free_port()
-    address = f"tcp://127.0.0.1:{port}"
-    with sensing(address) as queue:
-        assert next_state(queue).reason.startswith(f"{address} refuses the connection")
-        with socket.create_server(("127.0.0.1", port)) as server:
-            connection, _ = server.accept()
-            with connection:
-                send(connection.sendall, range(50))
-                assert next_state(queue).state == "up"
 
 
 @contextmanager

@@ -59,25 +59,16 @@ class Board:
     rows: int
     columns: int
 
-    def start(
-        self, pictures: NDArray[np.uint16], seconds: float, output: int, *, paced: bool = False
-    ) -> subprocess.Popen[str]:
-        """Run it for `seconds` of its own time; it sends to the file descriptor `output`."""
-        path = self.folder / "pictures"
-        path.write_bytes(_millivolts(pictures).astype("<u2").tobytes())
-        numbers = [str(number) for number in (self.rows, self.columns, seconds)]
-        command = [self.program, self.sketch, path, *numbers, *(["paced"] if paced else [])]
-        return subprocess.Popen(command, stdout=output, stderr=subprocess.PIPE, text=True)
-
     def run(self, pictures: NDArray[np.uint16], seconds: float) -> "Run":
         """Run it for `seconds` of its own time; return what it sent and when."""
-        with (self.folder / "sent").open("w+b") as sent:
-            board = self.start(pictures, seconds, sent.fileno())
-            _, said = board.communicate()
-            assert board.returncode == 0, said
-            sent.seek(0)
-            figures = json.loads(said.splitlines()[-1])
-            return Run(sent=sent.read(), **figures | {"began_ms": np.array(figures["began_ms"])})
+        path = self.folder / "pictures"
+        path.write_bytes(_millivolts(pictures).astype("<u2").tobytes())
+        command = [self.program, self.sketch, path, *map(str, (self.rows, self.columns, seconds))]
+        done = subprocess.run(command, capture_output=True)
+        said = done.stderr.decode()
+        assert done.returncode == 0, said
+        figures = json.loads(said.splitlines()[-1])
+        return Run(sent=done.stdout, **figures | {"began_ms": np.array(figures["began_ms"])})
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,12 @@
 /* An Arduino Mega 2560 that is not there, wired to a pad that is not there: simavr runs the sketch.
  *
- * simulated_mega SKETCH.elf PICTURES ROWS COLUMNS SECONDS [paced]
+ * simulated_mega SKETCH.elf PICTURES ROWS COLUMNS SECONDS
  *
  * PICTURES: uint16 millivolts (pictures, ROWS, COLUMNS), the voltage on each analogue pin while that row's pin
  * is low and all others are driven high. The n-th scan is given the n-th picture, and so on round. What the
  * sketch sends on its serial port goes to standard output. It ends after SECONDS of the board's time with one
  * line of JSON on standard error, or at once, with exit code 1, when the sketch reads an analogue pin while
- * the rows are driven in any other way. It runs as fast as it can; paced, no faster than the board.
+ * the rows are driven in any other way. It runs as fast as it can.
  */
 
 #define _POSIX_C_SOURCE 199309L
@@ -16,7 +16,6 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <time.h>
 #include <unistd.h>
 
 #include "avr_adc.h"
@@ -139,24 +138,10 @@ static void connect(void) {
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_UART_GETIRQ('0'), UART_IRQ_OUTPUT), on_byte, NULL);
 }
 
-static double now_s(void) {
-    struct timespec now;
-    clock_gettime(CLOCK_MONOTONIC, &now);
-    return now.tv_sec + now.tv_nsec / 1e9;
-}
-
-/* Waits until as much time has passed here as on the board. */
-static void keep_pace(double start_s) {
-    double ahead_s = (double)avr->cycle / CLOCK_HZ - (now_s() - start_s);
-    if (ahead_s <= 0) return;
-    struct timespec pause = {(time_t)ahead_s, (long)((ahead_s - (time_t)ahead_s) * 1e9)};
-    nanosleep(&pause, NULL);
-}
-
 static double ms(avr_cycle_count_t cycles) { return cycles * 1e3 / CLOCK_HZ; }
 
 int main(int count, char **arguments) {
-    if (count < 6) fail("usage: simulated_mega SKETCH.elf PICTURES ROWS COLUMNS SECONDS [paced]");
+    if (count < 6) fail("usage: simulated_mega SKETCH.elf PICTURES ROWS COLUMNS SECONDS");
     rows = atoi(arguments[3]);
     columns = atoi(arguments[4]);
     read_pictures(arguments[2]);
@@ -171,15 +156,10 @@ int main(int count, char **arguments) {
     avr->vcc = avr->avcc = avr->aref = 5000;
     connect();
 
-    avr_cycle_count_t end = atof(arguments[5]) * CLOCK_HZ, stop = 0;
-    double start_s = now_s();
-    while (stop < end) {
-        stop += CLOCK_HZ / 1000;
-        while (avr->cycle < stop) {
-            int state = avr_run(avr);
-            if (state == cpu_Done || state == cpu_Crashed) fail("the sketch crashed");
-        }
-        if (count > 6) keep_pace(start_s);
+    avr_cycle_count_t end = atof(arguments[5]) * CLOCK_HZ;
+    while (avr->cycle < end) {
+        int state = avr_run(avr);
+        if (state == cpu_Done || state == cpu_Crashed) fail("the sketch crashed");
     }
     if (scans == 0) fail("the sketch never read the pad");
 
