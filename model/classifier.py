@@ -161,30 +161,18 @@ def load_own(path: Path) -> Classifier:
         if path.stat().st_size > MAX_FILE_BYTES:
             raise ModelError(f"{path}: larger than {MAX_FILE_BYTES >> 20} MiB; not a touchd model")
     classifier = Classifier.load(path)
-    _check_fit(path, classifier.metadata, classifier.session)
+    _check_fit(path, classifier.metadata)
     _try_out(path, classifier.metadata, classifier.session)
     return classifier
 
 
-def _check_fit(path: Path, metadata: ModelMetadata, session: onnxruntime.InferenceSession) -> None:
+def _check_fit(path: Path, metadata: ModelMetadata) -> None:
     if metadata.frame_rate_hz != FRAME_RATE_HZ:
         raise ModelError(
             f"{path}: made for {metadata.frame_rate_hz} Hz, the pad is read at {FRAME_RATE_HZ} Hz"
         )
     if metadata.framing != "live":
         raise ModelError(f"{path}: made for {metadata.framing} framing; a pad sends live frames")
-    # None: the model must accept any batch size and any number of frames.
-    inputs = [
-        (entry.name, entry.type, [size if isinstance(size, int) else None for size in entry.shape])
-        for entry in session.get_inputs()
-    ]
-    if inputs != [("counts", "tensor(float)", [None, None, ROWS, COLUMNS])]:
-        raise ModelError(
-            f"{path}: its inputs are {inputs}, not any number of {ROWS}x{COLUMNS} taxels' counts"
-        )
-    outputs = [entry.name for entry in session.get_outputs()]
-    if unknown := [name for name in outputs if name != "probabilities" and not name.startswith("next_")]:
-        raise ModelError(f"{path}: has another output than probabilities: {unknown[0]}; export it again")
 
 
 def _try_out(path: Path, metadata: ModelMetadata, session: onnxruntime.InferenceSession) -> None:

@@ -194,12 +194,6 @@ class TestOtherModels:
         proto.graph.output[0].CopyFrom(helper.make_tensor_value_info("probabilities", kind, shape))
         assert message in refusal(self.saved(proto))
 
-    def test_an_additional_output_is_refused(self) -> None:
-        proto, helper, kind = self.tiny(), self.onnx.helper, self.onnx.TensorProto.FLOAT
-        proto.graph.node.append(helper.make_node("Identity", ["even"], ["odd"]))
-        proto.graph.output.append(helper.make_tensor_value_info("odd", kind, [1, 7]))
-        assert "another output than probabilities: odd" in refusal(self.saved(proto))
-
     def test_a_graph_without_an_end_is_refused_in_time(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr("touchd.model.classifier.TRIAL_S", 0.5)
         helper, kind = self.onnx.helper, self.onnx.TensorProto
@@ -232,11 +226,10 @@ class TestOtherModels:
     @pytest.mark.parametrize(
         ("name", "shape", "classes", "message"),
         [
-            ("counts", ["batch", "frames", 10, 10], 8, "not any number of 8x8 taxels' counts"),
-            ("counts", ["batch", "frames", 64], 8, "not any number of 8x8 taxels' counts"),
-            ("pixels", ["batch", "frames", 8, 8], 8, "its inputs are [('pixels'"),
-            ("counts", ["batch", 144, 8, 8], 8, "not any number of 8x8 taxels' counts"),
-            ("counts", [1, "frames", 8, 8], 8, "not any number of 8x8 taxels' counts"),
+            ("counts", ["batch", "frames", 10, 10], 8, "gives no answer for a pad at rest"),
+            ("counts", ["batch", "frames", 64], 8, "gives no answer for a pad at rest"),
+            ("pixels", ["batch", "frames", 8, 8], 8, "gives no answer for a pad at rest"),
+            ("counts", ["batch", 144, 8, 8], 8, "gives no answer for a pad at rest"),
             ("counts", ["batch", "frames", 8, 8], 6, "6 outputs for 8 labels; export it again"),
         ],
     )
