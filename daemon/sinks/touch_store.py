@@ -31,7 +31,7 @@ from touchd.daemon.sinks.touches import TouchKey, read_labels
 from touchd.drivers.errors import os_errors_as
 from touchd.drivers.faults import FaultLog
 from touchd.drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, NO_TOUCH, Frame
-from touchd.drivers.pad.clock import clock_ms, pace_of
+from touchd.drivers.pad.clock import clock_ms
 from touchd.drivers.pad.port import at_baud
 from touchd.drivers.recording import (
     KEYS,
@@ -83,13 +83,6 @@ class TouchPieces:
     before: tuple[Frame, ...]
     touch: tuple[Frame, ...]
     after: tuple[Frame, ...]
-    is_whole: bool
-
-    @property
-    def rate(self) -> str:
-        """The frames' rate, in words."""
-        frames = (*self.before, *self.touch, *self.after)
-        return str(pace_of(frames)) if len(frames) > 1 else "unknown"
 
     def recordings(self, who: SetUp) -> list[Recording]:
         """Return the pieces as recordings on one clock, the touch unlabelled. who: touches what."""
@@ -125,7 +118,6 @@ def cut(touch: EndedTouch) -> TouchPieces:
         before=frames[start:first],
         touch=frames[first:stop],
         after=frames[stop:] if touch.ended.reason == "released" else (),
-        is_whole=stop < len(frames) or _is_from(frames[-1].sensor_ms, touch.end_ms),
     )
 
 
@@ -187,9 +179,8 @@ class TouchStore:
             self._folder.mkdir(FOLDER_MODE, exist_ok=True)
             self._count = (self._take_over() if self._count is None else self._count) + 1
             path = self._folder / file_name(touch.began.time, touch.began.touch, self._count)
-            pieces = cut(touch)
-            recordings = pieces.recordings(set_up_of(touch.began.tags))
-            write_recordings(path, recordings, self._provenance(touch, pieces))
+            recordings = cut(touch).recordings(set_up_of(touch.began.tags))
+            write_recordings(path, recordings, self._provenance(touch))
             self._delete_oldest()
         except (OSError, RecordingError) as error:
             self.lost += 1
@@ -216,15 +207,13 @@ class TouchStore:
         _delete(self._folder.glob(f"{PARTIAL}*"))
         return max((kept.count for kept in kept_touches(self._folder)), default=0)
 
-    def _provenance(self, touch: EndedTouch, pieces: TouchPieces) -> dict[str, str]:
+    def _provenance(self, touch: EndedTouch) -> dict[str, str]:
         return {
             "source": f"touchd run, touchd {metadata.version('touchd')}",
             "recorded": touch.began.time,
             "touch": str(touch.began.touch),
             "taken for": f"{touch.ended.gesture} ({touch.ended.reason})",
             "sensor": self._sensor,
-            "rate": pieces.rate,
-            "part": "the whole touch" if pieces.is_whole else "the beginning of a longer touch",
         }
 
 

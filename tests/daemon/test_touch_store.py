@@ -143,8 +143,6 @@ def test_a_file_has_provenance_and_no_persons_name(bench: StoreBench) -> None:
     assert told["touch"] == "1"
     assert told["recorded"] == kept.time
     assert told["taken for"] == "stroke (released)"
-    assert told["rate"] == "54.00 Hz, 0 frames lost"
-    assert told["part"] == "the whole touch"
     touch = read_frames(kept).touch
     assert {touch.participant, touch.substrate, touch.cover, touch.gesture} == {UNLABELLED}
 
@@ -185,7 +183,6 @@ def test_a_touch_that_never_ends_takes_a_minute_at_most(bench: StoreBench) -> No
     parts = read_recordings(kept.path)
     assert sum(len(part.counts) for part in parts) <= LONGEST_FRAMES
     assert parts[-1].gesture == UNLABELLED
-    assert read_provenance(kept.path)["part"] == "the beginning of a longer touch"
 
 
 def test_a_fast_pads_touch_is_kept_from_its_beginning(store: TouchStore, tmp_path: Path) -> None:
@@ -432,7 +429,6 @@ def test_frames_are_cut_where_the_touch_begins_and_ends(
     assert times_of(pieces.before, since_ms) == list(before)
     assert times_of(pieces.touch, since_ms) == list(touch)
     assert times_of(pieces.after, since_ms) == list(after)
-    assert pieces.is_whole == (last_ms < 3000)
 
 
 @pytest.mark.parametrize(("gap_ms", "is_kept"), [(1000, True), (1001, False)])
