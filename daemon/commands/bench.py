@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from touchd.daemon.app.config import SensorSettings, Settings
-from touchd.daemon.commands.one_pad import load_model
 from touchd.daemon.commands.run import favour_latency
+from touchd.daemon.commands.settings import load_model
 from touchd.daemon.path.events import Event, Prediction, epoch_s
 from touchd.daemon.path.pipeline import Pipeline
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for

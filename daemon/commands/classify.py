@@ -5,7 +5,7 @@ import sys
 from collections import Counter
 from collections.abc import Sequence
 
-from touchd.daemon.commands.one_pad import add_settings, load_model, settings_of
+from touchd.daemon.commands.settings import add_settings, load_model, settings_of
 from touchd.daemon.path.events import Event, TouchBegan, TouchEnded, encode
 from touchd.daemon.path.pipeline import Pipeline
 from touchd.daemon.playback.stream import add_arguments, chosen_stream, play

@@ -9,8 +9,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from touchd.daemon.commands.one_pad import add_settings, settings_of
-from touchd.daemon.commands.settings import parsed
+from touchd.daemon.commands.settings import add_settings, parsed, settings_of
 from touchd.daemon.doctor.check import Check, Verdict
 from touchd.daemon.doctor.examine import examine
 from touchd.daemon.doctor.hand import add_grid, can_ask

@@ -10,8 +10,7 @@ from contextlib import ExitStack
 from numpy.random import RandomState
 
 from touchd.daemon.app.config import Settings
-from touchd.daemon.commands.one_pad import add_settings, settings_of
-from touchd.daemon.commands.settings import parsed
+from touchd.daemon.commands.settings import add_settings, parsed, settings_of
 from touchd.daemon.live.address import listen, parse_address, urls_of
 from touchd.daemon.playback.rig import encoder_for
 from touchd.drivers.errors import within

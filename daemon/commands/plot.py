@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from touchd.daemon.commands.one_pad import add_settings, load_model, settings_of
+from touchd.daemon.commands.settings import add_settings, load_model, settings_of
 from touchd.daemon.playback.stream import add_arguments, chosen_stream
 from touchd.daemon.sinks.touches import read_journal
 from touchd.drivers.errors import one_line, within

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from touchd.daemon.commands.one_pad import add_settings, settings_of
+from touchd.daemon.commands.settings import add_settings, settings_of
 from touchd.daemon.record.capture import PadReader
 from touchd.daemon.record.dialogue import GESTURES, HOW, Dialogue, Terms
 from touchd.daemon.record.session import Session, ask_setting, name

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import msgspec
 
-from touchd.daemon.commands.one_pad import add_settings, settings_of
+from touchd.daemon.commands.settings import add_settings, settings_of
 from touchd.daemon.playback.rig import encoder_for
 from touchd.daemon.playback.stream import add_arguments, chosen_stream
 from touchd.drivers.errors import within

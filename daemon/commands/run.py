@@ -15,8 +15,7 @@ import msgspec
 from touchd.daemon.app.config import ConfigError, Settings, config_errors
 from touchd.daemon.app.log import LogWriter
 from touchd.daemon.app.systemd import Health, Notifier
-from touchd.daemon.commands.one_pad import only_pad
-from touchd.daemon.commands.settings import Found, add_config, find_settings, parsed
+from touchd.daemon.commands.settings import Found, add_config, find_settings, only_pad, parsed
 from touchd.daemon.live.address import EVERY_ADDRESS, parse_address, qr_code, urls_of
 from touchd.daemon.path.events import Event, RobotEvent, encode
 from touchd.daemon.path.service import Service

@@ -9,9 +9,8 @@ from pathlib import Path
 from rich.console import Console
 
 from touchd.daemon.app.config import Settings
-from touchd.daemon.commands.one_pad import add_settings, settings_of
 from touchd.daemon.commands.record import INCOMPLETE, LONGEST_S, SHORTEST_S
-from touchd.daemon.commands.settings import SERVICE_FOLDER
+from touchd.daemon.commands.settings import SERVICE_FOLDER, add_settings, settings_of
 from touchd.daemon.record.capture import PadReader
 from touchd.daemon.record.dialogue import GESTURES, HOW, HOW_ONCE, Dialogue, Terms
 from touchd.daemon.record.session import Session, Setting, ask_name, name

@@ -19,7 +19,7 @@ from selenium.webdriver import Chrome
 
 from touchd.daemon.app.config import LiveSettings, Settings
 from touchd.daemon.commands.demo import ACTIONS
-from touchd.daemon.commands.one_pad import load_model
+from touchd.daemon.commands.settings import load_model
 from touchd.daemon.live import server, touch
 from touchd.daemon.live.address import listen
 from touchd.daemon.live.memory import Scene

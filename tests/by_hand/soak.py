@@ -35,7 +35,7 @@ from rigs.stub_robot import StubRobot
 from touchd.daemon.app.config import LiveSettings, Settings
 from touchd.daemon.bridges.bridges import make_bridges
 from touchd.daemon.bridges.settings import MqttSettings
-from touchd.daemon.commands.one_pad import load_model
+from touchd.daemon.commands.settings import load_model
 from touchd.daemon.live.server import open_live_page
 from touchd.daemon.path.events import Event, TouchEnded, encode
 from touchd.daemon.path.pipeline import Pipeline

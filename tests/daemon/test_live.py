@@ -22,7 +22,7 @@ from websockets.asyncio import client, server
 from websockets.sync.client import ClientConnection, connect
 
 from touchd.daemon.app.config import LiveSettings, SensorSettings, Settings
-from touchd.daemon.commands.one_pad import load_model
+from touchd.daemon.commands.settings import load_model
 from touchd.daemon.live.memory import PREDICTIONS, TOUCHES, Memory, Scene
 from touchd.daemon.live.server import CAPACITY, LiveServer
 from touchd.daemon.live.viewers import Viewers

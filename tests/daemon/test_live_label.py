@@ -17,7 +17,7 @@ from websockets.http11 import Request
 from websockets.sync.client import connect
 
 from touchd.daemon.app.config import LiveSettings, Settings
-from touchd.daemon.commands.one_pad import load_model
+from touchd.daemon.commands.settings import load_model
 from touchd.daemon.live import server
 from touchd.daemon.live.label import is_here
 from touchd.daemon.live.server import LiveServer, open_live_page

@@ -31,7 +31,7 @@ from touchd.daemon.app.config import (
 )
 from touchd.daemon.app.parts import make_parts
 from touchd.daemon.bridges.settings import MqttSettings
-from touchd.daemon.commands.one_pad import only_pad
+from touchd.daemon.commands.settings import only_pad
 from touchd.daemon.path.events import Event, Prediction, RobotAction, SensorEvent, TouchBegan, TouchEnded
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
 from touchd.daemon.robot.actions import Action, ActionRule

@@ -18,8 +18,8 @@ from rigs.programs import ran
 
 from touchd.daemon.app import cli
 from touchd.daemon.app.config import Settings
-from touchd.daemon.commands.one_pad import load_model
 from touchd.daemon.commands.plot import picture_of
+from touchd.daemon.commands.settings import load_model
 from touchd.daemon.path.events import Event, Prediction, Stage, TouchBegan, TouchEnded, encode
 from touchd.daemon.playback.stream import with_quiet
 from touchd.daemon.plot.plot import (

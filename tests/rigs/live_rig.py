@@ -13,7 +13,7 @@ from rigs.wait import AT_ONCE_S, WITHIN_S
 from websockets.sync.client import ClientConnection, connect
 
 from touchd.daemon.app.config import LiveSettings, Settings
-from touchd.daemon.commands.one_pad import load_model
+from touchd.daemon.commands.settings import load_model
 from touchd.daemon.live.server import LiveServer, encode_frame, open_live_page
 from touchd.drivers.frame import DEFAULT_PAD, Counts, Frame
 from touchd.model.classifier import Classifier

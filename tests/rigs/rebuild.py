@@ -21,7 +21,7 @@ from rigs.lines import LINES
 from rigs.streams import STREAMS, Sent
 
 from touchd.daemon.app.config import Settings
-from touchd.daemon.commands.one_pad import load_model
+from touchd.daemon.commands.settings import load_model
 from touchd.drivers.recording import read_recordings
 from touchd.model.studies.simulated import simulate, write_simulated
 
