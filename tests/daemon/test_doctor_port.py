@@ -69,17 +69,6 @@ def test_boards_that_look_the_same_are_named_by_their_socket(machine: Machine, s
     assert all(name.why.startswith("it stays with this socket; ") for name in names)
 
 
-def test_the_ports_of_one_board_are_told_apart_by_its_number(machine: Machine) -> None:
-    machine.plug("ttyACM0", "1-1", "A17")
-    (board := machine.root / "sys/devices/usb/1-1").joinpath("1-1:1.2/tty/ttyACM1").mkdir(parents=True)
-    device = machine.root / "dev/ttyACM1"
-    device.touch()
-    (machine.root / "sys/class/tty/ttyACM1").mkdir()
-    (machine.root / "sys/class/tty/ttyACM1/device").symlink_to(board / "1-1:1.2")
-    (machine.root / "dev/by-id/usb-2341_0042_A17-if02").symlink_to(device)
-    assert Path(machine.name(str(device)).port).name == "usb-2341_0042_A17-if02"
-
-
 def test_a_board_with_the_udev_rules_name_is_named_by_its_number(machine: Machine) -> None:
     link = machine.root / "dev/touchd-pad"
     link.symlink_to(machine.plug("ttyACM0", "1-1", "A17"))

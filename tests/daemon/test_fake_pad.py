@@ -98,23 +98,6 @@ def test_doctor_and_record_run_as_typed_on_a_fake_pad(pad: str) -> None:
     assert len(list(Path("lab").glob("*.csv.gz"))) == 1
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(900)
-def test_teach_runs_as_typed_on_a_fake_pad(pad: str) -> None:
-    pytest.importorskip("torch")
-    init(pad)
-    with typed("teach") as terminal:
-        terminal.until("Who touches the pad?")
-        terminal.answer("ann", "Enter to begin")
-        terminal.answer("")
-        keep(terminal, "Learning from them")
-        uses = {"Enter to use it": "", "u to use it": "u"}
-        terminal.answer(uses[terminal.until_one(*uses, within_s=400.0)], "Set. To use it now: ")
-        assert terminal.process.wait(WITHIN_S) == 0
-    with typed("run") as terminal:
-        terminal.until("touch 1 ends: ")
-
-
 def test_the_simulated_hand_does_what_it_is_told() -> None:
     with Program(*TOUCHD, "fake-pad", "-c", os.devnull, "--gestures", "pat", "--every", "5") as program:
         path = next(line.split()[1] for line in program.stdout if line.startswith("pad: "))

@@ -54,14 +54,6 @@ def test_a_frame_is_on_time_for_a_quarter_second(step_ms: int, is_late: bool, fi
         ([7] * 50, [], (0, 49)),
         ([0, 1, 900, 2, 3, 901], range(4), (1, 0)),
     ],
-    ids=[
-        "wild clock",
-        "sent twice",
-        "replayed",
-        "random clock",
-        "stands still",
-        "follows a refused one",
-    ],
 )
 def test_a_frame_with_a_wrong_clock_is_refused_and_counted(
     sent: Sequence[int], delivered: Sequence[int], counts: tuple[int, int]

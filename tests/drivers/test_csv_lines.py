@@ -107,22 +107,6 @@ NUMBERED = [f"{row},{','.join(map(str, cells))}" for row, cells in enumerate(ROW
         ("mV " + " ".join(f"{cell}mV" for cell in CELLS) + "\n", 0),
         (" ".join(f"0x{cell:02X}" for cell in CELLS) + "\n", 0),
     ],
-    ids=[
-        "blank",
-        "word",
-        "number",
-        "label",
-        "word label",
-        "index",
-        "CR",
-        "a cell a line",
-        "escapes",
-        "time",
-        "letters between",
-        "NMEA",
-        "units",
-        "hex",
-    ],
 )
 def test_numbers_are_read_whatever_stands_around_them(printed: str, skip: int) -> None:
     described = PadFormat(framing="text", rows=5, columns=6, skip=skip)

@@ -131,18 +131,6 @@ def test_a_clock_that_jumps_and_a_reset_restart_the_grid(clock_ms: Sequence[int]
         ([1500, 1499, 2019], []),
         ([1500, 2019, 1519, 2038], []),
     ],
-    ids=[
-        "longest gap that is bridged",
-        "longer gap",
-        "late",
-        "restarted",
-        "ran back",
-        "ran back, with a gap",
-        "late twice",
-        "two late ones far apart",
-        "two late ones in reverse",
-        "late ones in turns",
-    ],
 )
 def test_only_gaps_and_clocks_that_ran_back_restart_the_grid(
     then_ms: list[int], restarts_ms: list[int], first_ms: int

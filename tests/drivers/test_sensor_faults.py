@@ -10,7 +10,6 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 
-import numpy as np
 import pytest
 import serial
 from rigs.formats import CsvLines, FabricGrid, encode_csv_line, encode_fabric_grid
@@ -28,9 +27,8 @@ from rigs.sensor_rig import (
 from rigs.wait import WITHIN_S, wait_for
 
 from touchd.drivers.fakes.fake_port import FakePort
-from touchd.drivers.frame import CLOCK_MODULUS, Counts, Frame
+from touchd.drivers.frame import Counts, Frame
 from touchd.drivers.pad.sensor import FrameQueue, Sensor
-from touchd.drivers.recording import Stream
 
 STEAL = """
 import os, select, sys
@@ -195,36 +193,6 @@ def test_an_internal_error_is_reported_while_it_lasts() -> None:
         assert "internal error" in next_state(queue).reason
         protocol.broken = False
         assert next_state(queue).state == "up"
-
-
-@pytest.mark.parametrize(
-    ("rate_hz", "before_ms", "after_ms"),
-    [
-        (43.2, 0, 0),
-        (64.8, 0, 0),
-        (54, 0, -1300),
-        (54, 0, 86_400_000),
-        (54, 2**32 - 1300, 2**32 - 1300),
-    ],
-    ids=["20 % slow", "20 % fast", "restarts", "jumps", "wraps"],
-)
-def test_a_pad_whose_clock_is_odd_loses_nothing(
-    rate_hz: float, before_ms: int, after_ms: int, caplog: pytest.LogCaptureFixture
-) -> None:
-    clock_ms = 1000 + np.rint(np.arange(40) * 1000 / rate_hz).astype(np.int64)
-    stream = Stream(stream_of(40).counts, clock_ms, ())
-
-    def shown_ms(sensor_ms: int) -> int:
-        return (sensor_ms + (before_ms if sensor_ms < 1300 else after_ms)) % CLOCK_MODULUS
-
-    def encode(counts: Counts, sensor_ms: int) -> bytes:
-        return encode_fabric_grid(counts, shown_ms(sensor_ms))
-
-    with FakePort(stream, encode, speed=5.0) as port, sensing(port.path, silence_s=5.0) as queue:
-        frames = next_frames(queue, 40)
-    assert [frame.sensor_ms for frame in frames] == list(map(shown_ms, clock_ms.tolist()))
-    np.testing.assert_array_equal([frame.pressure for frame in frames], stream.counts)
-    assert [record.levelname for record in caplog.records] == ["INFO"]
 
 
 def test_another_program_that_takes_bytes_is_reported_until_it_ends() -> None:
