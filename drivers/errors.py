@@ -48,6 +48,11 @@ class TouchdError(Exception):
         super().__init__(one_line(message))
 
 
+def reason(error: Exception) -> str:
+    """Return what an error says, without the number of an OSError."""
+    return getattr(error, "strerror", None) or str(error)
+
+
 @contextmanager
 def os_errors_as(kind: type[TouchdError], what: str, advice: str = "") -> Iterator[None]:
     """Turn an OSError into a TouchdError that says what cannot be done, why, and what to do."""

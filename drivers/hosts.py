@@ -34,6 +34,15 @@ MOST_NAMES = 64
 # ioctl(2), netdevice(7): the address of an interface.
 SIOCGIFADDR = 0x8915
 
+# Of a connection. The last three notice a network that drops everything after 10 s, while nothing is sent.
+OPTIONS = (
+    (socket.IPPROTO_TCP, socket.TCP_NODELAY, 1),
+    (socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1),
+    (socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, 4),
+    (socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 2),
+    (socket.IPPROTO_TCP, socket.TCP_KEEPCNT, 3),
+)
+
 Address: TypeAlias = tuple[socket.AddressFamily, Any]
 
 
@@ -42,58 +51,61 @@ def connect(host: str, port: int, limit_s: float, stopping: threading.Event | No
 
     limit_s: for the connection alone, without the lookup of the name. stopping: ends every wait.
     """
-    name = _name(host)
+    name, stopping = _name(host), stopping or threading.Event()
     try:
-        return dial(name.addresses(port, stopping or threading.Event()), limit_s, stopping)
+        return dial(name.addresses(port, stopping), limit_s, stopping)
     except OSError:
         name.look_up()
         raise
 
 
-def dial(
-    addresses: Iterable[Address], limit_s: float, stopping: threading.Event | None = None
-) -> socket.socket:
+def dial(addresses: Iterable[Address], limit_s: float, stopping: threading.Event) -> socket.socket:
     """Return a connection to the address that answers first; raises OSError.
 
     Each address is tried a moment after the one before, or once that has failed.
     """
-    waiting, trying = list(addresses), dict[int, socket.socket]()
-    next_s, until_s = 0.0, time.monotonic() + limit_s
+    waiting, trying = list(addresses), list[socket.socket]()
+    until_s = time.monotonic() + limit_s
     failed: OSError = TimeoutError(f"no answer within {limit_s:g} s")
-    poller = select.poll()
     try:
-        while (waiting or trying) and (now_s := time.monotonic()) < until_s:
-            if stopping is not None and stopping.is_set():
-                raise TimeoutError("touchd is stopping")
-            if waiting and (not trying or now_s >= next_s):
-                next_s = now_s + HEAD_START_S
-                try:
-                    started = _start(*waiting.pop(0))
-                except OSError as error:
-                    failed = error
-                    continue
-                trying[started.fileno()] = started
-                poller.register(started, select.POLLOUT)
-            for fd, _ in poller.poll(1000 * SLICE_S):
-                poller.unregister(fd)
-                tried = trying.pop(fd)
-                code = tried.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
-                if code == 0:
-                    tried.settimeout(limit_s)
-                    return tried
-                tried.close()
-                failed = OSError(code, os.strerror(code))
+        while (waiting or trying) and (left_s := until_s - time.monotonic()) > 0 and not stopping.is_set():
+            try:
+                if waiting:
+                    trying.append(_start(*waiting.pop(0)))
+                if connected := _first_of(trying, min(HEAD_START_S, left_s) if waiting else left_s, stopping):
+                    connected.settimeout(limit_s)
+                    return connected
+            except OSError as error:
+                failed = error
         raise failed
     finally:
-        for tried in trying.values():
+        for tried in trying:
             tried.close()
+
+
+def _first_of(trying: list[socket.socket], limit_s: float, stopping: threading.Event) -> socket.socket | None:
+    """Take out and return the first that connects, None if none does in time; raises OSError if one fails."""
+    until_s = time.monotonic() + limit_s
+    poller = select.poll()
+    for each in trying:
+        poller.register(each, select.POLLOUT)
+    while time.monotonic() < until_s and not stopping.is_set():
+        for fd, _ in poller.poll(1000 * SLICE_S):
+            (answered,) = (each for each in trying if each.fileno() == fd)
+            trying.remove(answered)
+            if code := answered.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
+                answered.close()
+                raise OSError(code, os.strerror(code))
+            return answered
+    return None
 
 
 def _start(family: socket.AddressFamily, where: Any) -> socket.socket:
     started = socket.socket(family, socket.SOCK_STREAM)
     try:
         started.setblocking(False)
-        started.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        for option in OPTIONS:
+            started.setsockopt(*option)
         if (code := started.connect_ex(where)) not in (0, errno.EINPROGRESS):
             raise OSError(code, os.strerror(code))
     except OSError:
@@ -143,8 +155,10 @@ class Name:
     def _look_up(self) -> None:
         started_s = time.monotonic()
         try:
-            answers = socket.getaddrinfo(self._host, None, type=socket.SOCK_STREAM)
-        except (OSError, UnicodeError) as error:
+            # As bytes: a text would first go through a codec that takes 0.7 MB.
+            host = self._host.encode() if self._host.isascii() else self._host
+            answers = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
+        except (OSError, ValueError) as error:
             self._failed, self._found = error, ()
             return
         found = dict.fromkeys((family, where) for family, _, _, _, where in answers)

@@ -69,15 +69,18 @@ def robot_urls(typed: str) -> Sequence[str]:
     if rest.count(":") > 1 and "[" not in rest:
         rest = f"[{rest}]"
     host, port = re.fullmatch(r"(\[.*\]|[^:]*)(?::(.*))?", rest, re.DOTALL).groups()  # type: ignore[union-attr]
-    urls = [f"{scheme}://{host}:{port or ROBOT_PORTS.get(scheme.lower())}"] if scheme else []
+    scheme = scheme.lower()
+    urls = [f"{scheme}://{host}:{port or ROBOT_PORTS.get(scheme)}"] if scheme else []
     urls += [f"{each}://{host}:{port}" for each in ROBOT_PORTS if port]
     urls += [f"{each}://{host}:{usual}" for each, usual in ROBOT_PORTS.items()]
     try:
-        return list(dict.fromkeys(address_of(url).url for url in urls))
+        for url in urls:
+            address_of(url)
     except ValueError as error:
         raise RobotError(
             f"{without_password(typed)!r} is not a robot's name or address, such as nao.local"
         ) from error
+    return list(dict.fromkeys(urls))
 
 
 def find_robot(urls: Sequence[str], trying: Callable[[str], None]) -> str | None:

@@ -1,11 +1,11 @@
 """The rules for the robot's reactions, as in touchd.example.yaml; `reactions.py` applies them."""
 
 import re
-from typing import Annotated, TypeAlias
+from typing import Annotated, TypeAlias, get_args
 
 import msgspec
 
-from touchd.daemon.path.events import UNCERTAIN, Stage
+from touchd.daemon.path.events import UNCERTAIN, ActionKind, Stage
 from touchd.daemon.path.feel import Feel
 
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=200)]
@@ -24,6 +24,7 @@ COLORS = {
     "cyan": 0x00FFFF,
     "off": 0x000000,
 }
+KINDS: tuple[ActionKind, ...] = get_args(ActionKind)
 PLACEHOLDER = re.compile(r"\{\{|\}\}|\{(gesture|name|phrase|confidence)\}")
 
 Speech = Annotated[str, msgspec.Meta(min_length=1, max_length=500)]
@@ -42,12 +43,15 @@ class Action(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     behavior: Name | None = None
     leds: str | None = None
 
+    @property
+    def given(self) -> dict[ActionKind, str]:
+        """What is set, by its kind."""
+        return {kind: what for kind in KINDS if (what := getattr(self, kind)) is not None}
+
     def __post_init__(self) -> None:
-        kinds = self.__struct_fields__
-        given = [kind for kind in kinds if getattr(self, kind) is not None]
-        if len(given) != 1:
+        if len(self.given) != 1:
             raise ValueError(
-                f"an action is exactly one of {', '.join(kinds)}; here: {', '.join(given) or 'none'}"
+                f"an action is exactly one of {', '.join(KINDS)}; here: {', '.join(self.given) or 'none'}"
             )
         if (
             self.leds is not None
@@ -55,9 +59,12 @@ class Action(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             and not re.fullmatch(r"#[0-9a-fA-F]{6}", self.leds)
         ):
             raise ValueError(f"leds {self.leds!r} is neither #rrggbb nor one of {', '.join(COLORS)}")
-        for template in (self.say, self.animated_say):
-            if template is not None:
-                _check_placeholders(template)
+        for template in filter(None, (self.say, self.animated_say)):
+            if re.search("[{}]", PLACEHOLDER.sub("", template)):
+                raise ValueError(
+                    f"{template!r} may hold {{gesture}}, {{name}}, {{phrase}} and {{confidence}}, nothing "
+                    "else in braces; write {{ for a brace"
+                )
 
 
 def rgb_of(color: str) -> int:
@@ -94,11 +101,3 @@ class ActionRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             raise ValueError(
                 f"such a rule never acts: {UNCERTAIN} is told at stage {UNCERTAIN}; name it in both"
             )
-
-
-def _check_placeholders(template: str) -> None:
-    if re.search("[{}]", PLACEHOLDER.sub("", template)):
-        raise ValueError(
-            f"{template!r} may hold {{gesture}}, {{name}}, {{phrase}} and {{confidence}}, nothing else in "
-            "braces; write {{ for a brace"
-        )

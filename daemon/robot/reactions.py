@@ -8,34 +8,32 @@ from dataclasses import dataclass, field
 
 import msgspec
 
-from touchd.daemon.app.config import Settings, Words
-from touchd.daemon.path.events import (
-    MAX_REASON_BYTES,
-    UNCERTAIN,
-    ActionKind,
-    Event,
-    Prediction,
-    RobotAction,
-    timestamp,
-)
+from touchd.daemon.app.config import Words
+from touchd.daemon.path.events import MAX_REASON_BYTES, UNCERTAIN, Event, Prediction, RobotAction, timestamp
 from touchd.daemon.robot.actions import Action, ActionRule, rgb_of
-from touchd.daemon.robot.words import Vocabulary, words_of
+from touchd.daemon.robot.words import Vocabulary
 from touchd.drivers.errors import one_line
 from touchd.drivers.frame import OTHER
-from touchd.drivers.robot.acting import Act, animated_say, run_behavior, say, set_leds
+from touchd.drivers.robot.link import Act
 
 # Touches that are remembered: more than can go on at once.
 MOST_TOUCHES = 64
 FACE, FADE_S = "FaceLeds", 0.3
 
-OnAct = Callable[[Prediction, ActionKind, str], None]
+# The robot's service and method for each kind of action.
+METHODS: Mapping[str, tuple[str, str]] = {
+    "say": ("ALTextToSpeech", "say"),
+    "animated_say": ("ALAnimatedSpeech", "say"),
+    "behavior": ("ALBehaviorManager", "runBehavior"),
+    "leds": ("ALLeds", "fadeRGB"),
+}
 
 
 class Reactions:
     """Passes on the actions that the answers of all pads trigger.
 
     rules: of each pad. words: of the gestures, for speech. act: has the robot carry out acts in order.
-    on_act: called from the robot's thread as an action begins, with its kind, and its words or name.
+    emit: receives an event as an action begins, from the robot's thread.
     """
 
     def __init__(
@@ -43,12 +41,12 @@ class Reactions:
         rules: Mapping[str, Sequence[ActionRule]],
         words: Vocabulary,
         act: Callable[[Sequence[Act]], None],
-        on_act: OnAct,
+        emit: Callable[[Event], None],
     ) -> None:
         self._choices = {pad: Choice(of_pad) for pad, of_pad in rules.items()}
         self._words = words
         self._act = act
-        self._on_act = on_act
+        self._emit = emit
 
     def on_answer(self, answer: Prediction) -> None:
         """Ask the robot for what an answer triggers, if anything; returns at once."""
@@ -57,35 +55,19 @@ class Reactions:
             self._act([self._act_of(action, answer) for action in actions])
 
     def _act_of(self, action: Action, answer: Prediction) -> Act:
-        def begins(kind: ActionKind, what: str) -> Callable[[], None]:
-            return lambda: self._on_act(answer, kind, what)
+        ((kind, what),) = action.given.items()
+        arguments: tuple[object, ...] = (what,)
+        if kind == "leds":
+            arguments = (FACE, rgb_of(what), FADE_S)
+        elif kind != "behavior":
+            what = spoken(what, answer.gesture, answer.confidence, self._words)
+            arguments = (what,)
 
-        if action.say is not None:
-            words = spoken(action.say, answer.gesture, answer.confidence, self._words)
-            return say(words, begins("say", words))
-        if action.animated_say is not None:
-            words = spoken(action.animated_say, answer.gesture, answer.confidence, self._words)
-            return animated_say(words, begins("animated_say", words))
-        if action.behavior is not None:
-            return run_behavior(action.behavior, begins("behavior", action.behavior))
-        assert action.leds is not None, "an action is exactly one of these"
-        return set_leds(FACE, rgb_of(action.leds), FADE_S, begins("leds", action.leds))
+        def begins() -> None:
+            now, shown = timestamp(time.time()), one_line(what, MAX_REASON_BYTES)
+            self._emit(RobotAction(touch=answer.touch, action=kind, what=shown, time=now, pad=answer.pad))
 
-
-def make_reactions(
-    settings: Settings,
-    rules: Mapping[str, Sequence[ActionRule]],
-    act: Callable[[Sequence[Act]], None],
-    emit: Callable[[Event], None],
-) -> Reactions:
-    """Return the reactions by the rules of each pad. emit: receives an event as the robot begins to act."""
-
-    def note(answer: Prediction, kind: ActionKind, what: str) -> None:
-        now = timestamp(time.time())
-        shown = one_line(what, MAX_REASON_BYTES)
-        emit(RobotAction(touch=answer.touch, action=kind, what=shown, time=now, pad=answer.pad))
-
-    return Reactions(rules, words_of(settings), act, note)
+        return Act(*METHODS[kind], arguments, begins)
 
 
 @dataclass

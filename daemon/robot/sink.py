@@ -14,6 +14,8 @@ from touchd.daemon.path.events import (
     epoch_s,
     timestamp,
 )
+from touchd.daemon.robot.reactions import Reactions
+from touchd.daemon.robot.words import words_of
 from touchd.drivers.errors import one_line
 from touchd.drivers.robot.link import RobotLink, Told
 from touchd.drivers.robot.session import OpenSession
@@ -85,6 +87,4 @@ def link_to_robot(
         link.set_status("down", name)
     if not any(rules.values()):
         return RobotSink(link)
-    from touchd.daemon.robot.reactions import make_reactions
-
-    return RobotSink(link, make_reactions(settings, rules, link.act, emit).on_answer)
+    return RobotSink(link, Reactions(rules, words_of(settings), link.act, emit).on_answer)

@@ -2,17 +2,19 @@
 
 import inspect
 import socket
+import struct
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any, NamedTuple
 
-from touchd.drivers.robot.values import ValueFault, read, write
+from touchd.drivers.robot.values import read, write
 from touchd.drivers.robot.wire import (
     AUTH_STATE,
     AUTHENTICATE,
     CALL,
     CAPABILITIES,
+    DONE,
     ERROR,
     FIND_SERVICE,
     HEADER,
@@ -22,7 +24,6 @@ from touchd.drivers.robot.wire import (
     REPLY,
 )
 
-DONE = 3
 DIRECTORY, FIRST_ACTION = 1, 100
 SIGNATURES = {str: "s", int: "i", float: "f", bool: "b", None: "v"}
 META_OBJECT = "({I(Issss[(ss)]s)}{I(Iss)}{I(Iss)}s)"
@@ -73,30 +74,28 @@ class QiServer:
         with suppress(OSError):
             while True:
                 client, _ = self._listener.accept()
-                threading.Thread(
-                    target=self._serve, args=(client,), name="touchd-client", daemon=True
-                ).start()
+                threading.Thread(target=self._serve, args=(client,), daemon=True).start()
 
     def _serve(self, client: socket.socket) -> None:
         """Answer one client's calls, one after the other, until it leaves or sends what is no message."""
-        with client, suppress(OSError, EOFError):
+        with client, suppress(OSError, struct.error):
             client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            while True:
-                magic, number, size, version, kind, _, *target = HEADER.unpack(_received(client, HEADER.size))
+            while header := client.recv(HEADER.size, socket.MSG_WAITALL):
+                magic, number, size, version, kind, _, *target = HEADER.unpack(header)
                 if magic != MAGIC or size > MOST_BYTES:
                     return
-                payload = _received(client, size)
+                payload = client.recv(size, socket.MSG_WAITALL) if size else b""
                 if kind != CALL:
                     continue
                 try:
-                    kind, answer = REPLY, self._answer((target[0], target[1], target[2]), payload)
-                except (RuntimeError, LookupError, ValueFault) as error:
+                    kind, answer = REPLY, self._answer(target, payload)
+                except (RuntimeError, LookupError, ValueError) as error:
                     kind, answer = ERROR, write("m", str(error))
                 client.sendall(HEADER.pack(MAGIC, number, len(answer), version, kind, 0, *target) + answer)
 
-    def _answer(self, target: tuple[int, int, int], payload: bytes) -> bytes:
+    def _answer(self, target: list[int], payload: bytes) -> bytes:
         """Return the payload of the answer to a call; raises what the robot answers with an error."""
-        if target == AUTHENTICATE:
+        if tuple(target) == AUTHENTICATE:
             return write("{sm}", {**CAPABILITIES, AUTH_STATE: DONE})
         service, _, number = target
         actions = self._objects[service]
@@ -108,8 +107,7 @@ class QiServer:
             }
             return write(META_OBJECT, (methods, signals, {}, ""))
         action = actions[number]
-        arguments: Any = read(action.takes, payload)
-        return write(action.gives, action.run(*arguments))
+        return write(action.gives, action.run(*read(action.takes, payload)))
 
     def _directory(self) -> dict[int, Action]:
         def service(name: str) -> object:
@@ -127,27 +125,12 @@ class QiServer:
         }
 
 
-def _received(client: socket.socket, size: int) -> bytes:
-    data = b""
-    while len(data) < size:
-        piece = client.recv(size - len(data))
-        if not piece:
-            raise EOFError
-        data += piece
-    return data
-
-
 def _actions(service: object) -> dict[int, Action]:
-    """Return what a service's methods become, by their numbers."""
-    found = [
-        _action(name, method)
-        for name, method in inspect.getmembers(service, inspect.ismethod)
-        if not name.startswith("_")
-    ]
+    """Return what a service's public methods become, by their numbers."""
+    found: list[Action] = []
+    for name, method in inspect.getmembers(service, inspect.ismethod):
+        if not name.startswith("_"):
+            hints = inspect.signature(method)
+            takes = "".join(SIGNATURES.get(each.annotation, "m") for each in hints.parameters.values())
+            found.append(Action(name, f"({takes})", SIGNATURES.get(hints.return_annotation, "m"), method))
     return dict(enumerate(found, FIRST_ACTION))
-
-
-def _action(name: str, method: Callable[..., Any]) -> Action:
-    hints = inspect.signature(method)
-    takes = "".join(SIGNATURES.get(each.annotation, "m") for each in hints.parameters.values())
-    return Action(name, f"({takes})", SIGNATURES.get(hints.return_annotation, "m"), method)

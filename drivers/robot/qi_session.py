@@ -3,7 +3,6 @@
 import importlib
 import os
 import threading
-import time
 from typing import Any
 
 from touchd.drivers.errors import one_line
@@ -16,6 +15,7 @@ from touchd.drivers.robot.session import (
     RobotLost,
     RobotRefused,
     RobotSettings,
+    Wait,
 )
 
 # Poll interval for the stop event while a call runs.
@@ -57,7 +57,11 @@ class QiSession:
 
     def connect(self) -> None:
         if self._settings.user is not None:
-            self._session.setClientAuthenticatorFactory(_Authenticator(self._settings))
+            from touchd.drivers.robot.login import read_token
+
+            token = read_token(self._settings)
+            authenticator = _Authenticator({"user": self._settings.user, "token": token})
+            self._session.setClientAuthenticatorFactory(authenticator)
         connecting = self._session.connect(self._settings.url, _async=True)
         try:
             self._value(connecting, self._limits.connect_s, "connecting")
@@ -74,10 +78,9 @@ class QiSession:
             self._proxies[service] = self._value(found, self._limits.connect_s, f"looking for {service}")
         try:
             answer = getattr(self._proxies[service], method)(*arguments, _async=True)
+            return self._value(answer, limit_s, f"{service}.{method}")
         except AttributeError as error:
             raise RobotRefused(f"{service} has no {method}") from error
-        try:
-            return self._value(answer, limit_s, f"{service}.{method}")
         except RobotRefused:
             # The service may have ended; once it is back, only a new proxy reaches it.
             del self._proxies[service]
@@ -88,30 +91,25 @@ class QiSession:
         self._session.close(_async=True).wait(round(1000 * STOPPING_LIMIT_S))
 
     def _value(self, future: Any, limit_s: float, what: str) -> object:
-        started_s = time.monotonic()
+        wait = Wait(what, limit_s, self._stopping)
         while future.wait(SLICE_MS) == self._qi.FutureState.Running:
-            waited_s = time.monotonic() - started_s
-            if waited_s >= limit_s or (self._stopping.is_set() and waited_s >= STOPPING_LIMIT_S):
-                raise RobotLost(f"{what}: no answer within {waited_s:.1f} s")
+            wait.go_on()
         try:
             return future.value()
         except RuntimeError as error:
             # qi raises the same error for a lost link and for an error on the robot.
-            first_line = (str(error).splitlines() or [type(error).__name__])[0]
-            because = one_line(f"{what}: {first_line}")
-            raise (RobotRefused if self.connected() else RobotLost)(because) from error
+            why = one_line(" ".join(f"{what}: {error}".split()))
+            raise (RobotRefused if self.connected() else RobotLost)(why) from error
 
 
 class _Authenticator:
     """Logs in. libqi calls both methods by these names."""
 
-    def __init__(self, settings: RobotSettings) -> None:
-        from touchd.drivers.robot.login import read_login
-
-        self._login = read_login(settings)
+    def __init__(self, login: dict[str, str]) -> None:
+        self._login = login
 
     def newAuthenticator(self) -> "_Authenticator":  # noqa: N802
         return self
 
     def initialAuthData(self) -> dict[str, str]:  # noqa: N802
-        return {"user": self._login.user, "token": self._login.token} if self._login else {}
+        return self._login

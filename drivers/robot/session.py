@@ -1,11 +1,9 @@
 """How a robot is reached: its address and login, time limits, and what a session can do."""
 
-import ipaddress
 import re
-import socket
 import threading
+import time
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, Protocol, TypeAlias
 
@@ -24,18 +22,24 @@ class RobotError(TouchdError):
     """The robot cannot be used as configured: the user must change something. The message is one line."""
 
 
+class RobotLost(Exception):  # noqa: N818 - says what happened; it is handled, never shown as an error
+    """The robot is gone or answers too late (a call may still run there); only a new session helps."""
+
+
+class RobotRefused(Exception):  # noqa: N818 - as above
+    """The robot answered with an error, or has no such service or method; the session goes on."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class RobotLimits:
     """Every wait and every buffer of the link to the robot, in seconds unless named otherwise.
 
-    connect_s: for a connection, or for finding a service (measured on loopback: 12 ms and 1 ms).
-    call_s: for any call on the event path (0.3 ms; a robot on a bad network needs a hundred times that).
-    action_s: for one action; speech and behaviours answer only when they are over, a dance after minutes.
+    connect_s: for a connection, or for finding a service. call_s: for any call on the event path.
+    action_s: for one action, which answers only when it is over; a dance takes minutes.
     stale_s: what has waited longer than this is dropped, since a late answer is worse than none.
-    heartbeat_s: the robot is asked something after this much silence. With call_s it bounds how long a hang
-    goes unnoticed, because a hung robot still looks connected.
-    backoff_first_s, backoff_cap_s: pause before another attempt, doubling from the one to the other. The cap
-    bounds how long a robot that is back goes unnoticed.
+    heartbeat_s: an idle robot is asked something this often. With call_s it bounds how long a hang goes
+    unnoticed, because a hung robot still looks connected.
+    backoff_first_s, backoff_cap_s: pause before another attempt, doubling from the one to the other.
     capacity: messages, or reactions, that wait at most; the oldest is dropped.
     """
 
@@ -49,6 +53,22 @@ class RobotLimits:
     capacity: int = 64
 
 
+class Wait:
+    """A wait with a limit, which is shorter once the daemon stops. what: what is waited for, in errors."""
+
+    def __init__(self, what: str, limit_s: float, stopping: threading.Event) -> None:
+        self.what = what
+        self._limit_s = limit_s
+        self._stopping = stopping
+        self._begun_s = time.monotonic()
+
+    def go_on(self) -> None:
+        """Raise RobotLost when it is over."""
+        waited_s = time.monotonic() - self._begun_s
+        if waited_s >= self._limit_s or (self._stopping.is_set() and waited_s >= STOPPING_LIMIT_S):
+            raise RobotLost(f"{self.what}: no answer within {waited_s:.1f} s")
+
+
 class Address(NamedTuple):
     """scheme: tcp or tcps."""
 
@@ -56,40 +76,16 @@ class Address(NamedTuple):
     host: str
     port: int
 
-    @property
-    def url(self) -> str:
-        host = f"[{self.host}]" if ":" in self.host else self.host
-        return f"{self.scheme}://{host}:{self.port}"
-
-    @property
-    def family(self) -> socket.AddressFamily | None:
-        """None if the host is a name."""
-        with suppress(ValueError):
-            is_6 = ipaddress.ip_address(self.host).version == 6
-            return socket.AF_INET6 if is_6 else socket.AF_INET
-        return None
-
-    @property
-    def is_here(self) -> bool:
-        """Whether it is this computer."""
-        return (
-            self.host == "localhost" if self.family is None else ipaddress.ip_address(self.host).is_loopback
-        )
-
 
 def address_of(url: str) -> Address:
     """Return the parts of a robot's URL; raises ValueError with what is wrong, without a password."""
     parts = re.fullmatch(
         r"(tcps?)://(\[[^\s\[\]]+\]|[^\s/@:\[\]]+)(?::(\d{0,5}))?", url.strip(), re.IGNORECASE
     )
-    shown = without_password(url)
     if parts is None or int(parts[3] or 1) not in range(1, 65536):
-        raise ValueError(f"url {shown!r} is not an address such as tcp://nao.local:9559")
+        raise ValueError(f"url {without_password(url)!r} is not an address such as tcp://nao.local:9559")
     scheme = parts[1].lower()
-    if not parts[3]:
-        port = PORTS[scheme]
-        raise ValueError(f"url {shown!r} lacks its port, usually {port}: {scheme}://{parts[2]}:{port}")
-    return Address(scheme, parts[2].strip("[]"), int(parts[3]))
+    return Address(scheme, parts[2].strip("[]"), int(parts[3] or PORTS[scheme]))
 
 
 def without_password(address: str) -> str:
@@ -100,9 +96,8 @@ def without_password(address: str) -> str:
 class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Where the robot is and how to log in. The token itself is never among the settings.
 
-    certificate: a file with the robot's certificate, or its fingerprint, sha256:HEX. trust_network: send the
-    token to whoever answers. Beyond this computer, a token needs one of the two.
-    client: "qi" uses the robot's own library instead of `wire`.
+    certificate: the fingerprint of the robot's, sha256:HEX. trust_network: send the token to whoever answers.
+    A token needs one of the two. client: "qi" uses the robot's own library instead of `wire`.
     """
 
     url: str
@@ -118,12 +113,11 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
             raise ValueError(
                 f"prefix {self.prefix!r} must be one word that does not begin with AL (the robot's)"
             )
-        address = address_of(self.url)
-        if self.user is None and self.token_file:
-            raise ValueError("there is a token_file but no user; set user (nao on most robots)")
-        if self.user is not None and self.token_file is None:
-            raise ValueError("there is a user but no token; set token_file")
-        if address.scheme != "tcps" and (self.user or self.certificate):
+        if (self.user is None) != (self.token_file is None):
+            raise ValueError("a login is user and token_file; set both (user: nao on most robots)")
+        if self.token_file is not None and "/" not in self.token_file:
+            raise ValueError("token_file is not a full path; write the token into a file and give its path")
+        if self.address.scheme != "tcps" and (self.user or self.certificate):
             raise ValueError(f"url {self.url}: what is sent there is not encrypted; use tcps://")
         if self.client == "qi" and self.certificate:
             raise ValueError("qi accepts any certificate; leave client out, or certificate")
@@ -131,14 +125,6 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     @property
     def address(self) -> Address:
         return address_of(self.url)
-
-
-class RobotLost(Exception):  # noqa: N818 - says what happened; it is handled, never shown as an error
-    """The robot is gone or answers too late (a call may still run there); only a new session helps."""
-
-
-class RobotRefused(Exception):  # noqa: N818 - as above
-    """The robot answered with an error, or has no such service or method; the session goes on."""
 
 
 class RobotSession(Protocol):

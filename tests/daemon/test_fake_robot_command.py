@@ -5,10 +5,9 @@ import signal
 import socket
 
 from rigs.programs import TOUCHD, Program, ran
-from rigs.robots import link_threads
+from rigs.robots import link_threads, say
 from rigs.wait import WITHIN_S
 
-from touchd.drivers.robot.acting import say
 from touchd.drivers.robot.link import RobotLink
 from touchd.drivers.robot.session import RobotSettings
 

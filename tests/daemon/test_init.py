@@ -15,6 +15,7 @@ from rigs.coarse_pad import third_study
 from rigs.doctor_rig import pad_read_too_fast
 from rigs.expectations import RECORDINGS, stream_of
 from rigs.haart_folder import needs_third_study
+from rigs.login_gate import Login
 from rigs.pressing import SECONDS, pressed
 from rigs.robots import LOGIN, Robot
 from rigs.terminal import Terminal
@@ -30,7 +31,6 @@ from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.pad.port import SensorError, open_port
 from touchd.drivers.recording import Stream, ideal_clock_ms
-from touchd.drivers.robot.login import Login
 from touchd.drivers.robot.session import RobotError
 from touchd.drivers.search.listen import listen
 from touchd.drivers.search.search import Finding

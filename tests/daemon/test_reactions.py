@@ -10,16 +10,18 @@ import yaml
 from rigs.made_events import PREDICTION
 
 from touchd.daemon.app.config import Language, Words
+from touchd.daemon.path.events import Event, RobotAction
 from touchd.daemon.path.feel import Feel
 from touchd.daemon.robot import actions
 from touchd.daemon.robot.actions import MEASURES, Action, ActionRule
 from touchd.daemon.robot.reactions import MOST_TOUCHES, Choice, Reactions, spoken
 from touchd.daemon.robot.words import vocabulary
 from touchd.drivers.frame import DEFAULT_PAD
-from touchd.drivers.robot.acting import Act
+from touchd.drivers.robot.link import Act
 from touchd.model.classifier import Classifier
 
 Rules = tuple[ActionRule, ...]
+GENTLE = Feel(**dict.fromkeys(MEASURES, 0.0))
 
 
 def rules(text: str) -> Rules:
@@ -71,19 +73,24 @@ def test_a_wrong_rule_is_refused_with_the_reason(text: str, complaint: str) -> N
     assert complaint in str(error.value)
 
 
-def test_a_confidence_is_spoken_in_whole_percent() -> None:
-    assert Action(say="{{{gesture}}} {confidence}").say is not None
-    assert spoken("{{{gesture}}} {confidence}", "pat", 0.994, {}) == "{pat} 99"
+OWN = {"pat": Words(name="tap", phrase="a tap")}
+FEELS = "{name}: that feels like {phrase}."
 
 
-def test_the_robot_speaks_with_the_gestures_phrases() -> None:
-    says = "{name}: that feels like {phrase}."
-    assert spoken(says, "pat", 1.0, vocabulary("en", {})) == "pat: that feels like a pat."
-    assert spoken(says, "tickle", 1.0, vocabulary("en", {})) == "tickle: that feels like tickling."
-    assert spoken("Das war {phrase}.", "pat", 1.0, vocabulary("de", {})) == "Das war Tätscheln."
-    own = {"pat": Words(name="tap", phrase="a tap")}
-    assert spoken(says, "pat", 1.0, vocabulary("en", own)) == "tap: that feels like a tap."
-    assert spoken(says, "poke", 1.0, vocabulary("en", own)) == "poke: that feels like poke."
+@pytest.mark.parametrize(
+    ("template", "gesture", "words", "said"),
+    [
+        ("{{{gesture}}} {confidence}", "pat", {}, "{pat} 99"),
+        (FEELS, "pat", vocabulary("en", {}), "pat: that feels like a pat."),
+        (FEELS, "tickle", vocabulary("en", {}), "tickle: that feels like tickling."),
+        ("Das war {phrase}.", "pat", vocabulary("de", {}), "Das war Tätscheln."),
+        (FEELS, "pat", vocabulary("en", OWN), "tap: that feels like a tap."),
+        (FEELS, "poke", vocabulary("en", OWN), "poke: that feels like poke."),
+    ],
+)
+def test_words_are_filled_in(template: str, gesture: str, words: dict[str, Words], said: str) -> None:
+    assert Action(say=template).say is not None
+    assert spoken(template, gesture, 0.994, words) == said
 
 
 @pytest.mark.parametrize("language", ["en", "de"])
@@ -91,33 +98,72 @@ def test_every_answer_of_the_model_has_words(language: Language) -> None:
     assert {*Classifier.load().labels, "uncertain"} <= vocabulary(language, {}).keys()
 
 
-def test_a_rule_without_stages_fires_on_changes_only() -> None:
-    chosen = Choice(rules("[{do: [{say: any}]}]"))
-    assert done(chosen, "stroke", 1, stage="early") == ["any"]
-    assert done(chosen, "stroke", 1, stage="final") == []
-    assert done(chosen, "pat", 1, stage="ongoing") == ["any"]
-    assert done(chosen, "pat", 2, stage="early") == ["any"]
+ANY = "[{do: [{say: any}]}]"
+# A rule, and answers with what the robot says to each: gesture, touch, stage, whatever else, what is said.
+FIRES = {
+    "without stages, whenever the answer is news": (
+        ANY,
+        ["stroke 1 early: any", "stroke 1 final:", "pat 1 ongoing: any", "pat 2 early: any"],
+    ),
+    "with stages, once an answer": (
+        "[{do: [{say: any}], stages: [early, final, ongoing]}]",
+        ["stroke 1 early: any", "stroke 1 revised:", "stroke 1 final:", "pat 1 ongoing: any"],
+    ),
+    "on the settled answer, also if told early": (
+        "[{do: [{say: settled}], stages: [final, released]}]",
+        [
+            *(
+                "stroke 1 early:",
+                "stroke 1 final untold: settled",
+                "pat 2 early:",
+                "pat 2 released untold: settled",
+            ),
+            *("rub 3 final: settled", "rub 4 released: settled", "notouch 5 final untold:"),
+        ],
+    ),
+    "for each of simultaneous touches": (
+        ANY,
+        ["stroke 1 early: any", "stroke 2 early: any", "stroke 1 early:", "stroke 2 early:"],
+    ),
+    "for its gestures only": (
+        "[{do: [{say: soft}], gestures: [stroke, tickle]}]",
+        ["stroke 1 early: soft", "pat 2 early:", "tickle 3 early: soft"],
+    ),
+    "for a gesture of one's own": (ANY, ["bump 1 early: any", "wave 2 early: any"]),
+    "for other only if named, by its strength": (
+        "[{do: [{say: thanks}]}, {do: [{say: Ouch}], gestures: [other], above: {peak: 300}}]",
+        ["other 1 early peak=600: Ouch", "other 2 early peak=0:", "pat 3 early peak=600: thanks"],
+    ),
+    "for uncertain only if named": (
+        "[{do: [{say: any}]}, {do: [{say: hm}], gestures: [uncertain]}]",
+        ["uncertain 1 uncertain: hm"],
+    ),
+    "on a changed answer if it says so": (
+        "[{do: [{say: tickle}], gestures: [tickle]}, {do: [{say: oh}], gestures: [tickle], changed: true},"
+        " {do: [{say: pat}], gestures: [pat]}]",
+        ["tickle 1 early: tickle", "stroke 2 early:", "tickle 2 revised: oh", "pat 2 final: pat"],
+    ),
+    "with every other that fits, in order": (
+        "[{do: [{say: one}, {say: two}]}, {do: [{say: never}], gestures: [rub]}, {do: [{say: three}]}]",
+        ["pat 1 early: one two three"],
+    ),
+    "not within its refractory time": (
+        "[{do: [{say: slow}], refractory_s: 5}, {do: [{say: quick}]}]",
+        ["pat 1 early at=0: slow quick", "pat 2 early at=4.9: quick", "pat 3 early at=5.1: slow quick"],
+    ),
+}
 
 
-def test_a_rule_with_stages_fires_once_an_answer() -> None:
-    chosen = Choice(rules("[{do: [{say: any}], stages: [early, final, ongoing]}]"))
-    stages = ["early", "revised", "final"]
-    assert [done(chosen, "stroke", 1, stage=stage) for stage in stages] == [["any"], [], []]
-    assert done(chosen, "pat", 1, stage="ongoing") == ["any"]
-
-
-@pytest.mark.parametrize("settled", ["final", "released"])
-def test_the_settled_answer_triggers_once_even_if_told_early(settled: str) -> None:
-    chosen = Choice(rules("[{do: [{say: settled}], stages: [final, released]}]"))
-    assert done(chosen, "stroke", 1, stage="early") == []
-    assert done(chosen, "stroke", 1, stage=settled, told=False) == ["settled"]
-    assert done(chosen, "rub", 2, stage=settled) == ["settled"]
-    assert done(chosen, "notouch", 3, stage=settled, told=False) == []
-
-
-def test_simultaneous_touches_are_kept_apart() -> None:
-    chosen = Choice(rules("[{do: [{say: any}]}]"))
-    assert [done(chosen, "stroke", touch) for touch in (1, 2, 1, 2)] == [["any"], ["any"], [], []]
+@pytest.mark.parametrize(("text", "answers"), FIRES.values(), ids=list(FIRES))
+def test_a_rule_fires(text: str, answers: list[str]) -> None:
+    chosen = Choice(rules(text))
+    for line in answers:
+        answer, _, said = line.partition(":")
+        gesture, touch, stage, *others = answer.split()
+        other = dict(each.split("=") for each in others if "=" in each)
+        feel = msgspec.structs.replace(GENTLE, peak=float(other.get("peak", 0)))
+        options = {"stage": stage, "told": "untold" not in others, "feel": feel}
+        assert done(chosen, gesture, int(touch), float(other.get("at", 0)), **options) == said.split(), line
 
 
 def test_only_the_latest_touches_are_remembered() -> None:
@@ -126,64 +172,6 @@ def test_only_the_latest_touches_are_remembered() -> None:
     for touch in range(MOST_TOUCHES, 2 * MOST_TOUCHES):
         assert done(chosen, "stroke", touch) == []
     assert done(chosen, "stroke", MOST_TOUCHES - 1) == ["any"]
-
-
-def test_a_rule_with_gestures_applies_to_these_only() -> None:
-    chosen = Choice(rules("[{do: [{say: soft}], gestures: [stroke, tickle]}]"))
-    gestures = ["stroke", "pat", "tickle"]
-    assert [done(chosen, g, touch) for touch, g in enumerate(gestures)] == [["soft"], [], ["soft"]]
-
-
-def test_a_gesture_of_ones_own_triggers_a_rule_for_all() -> None:
-    chosen = Choice(rules("[{do: [{say: any}]}]"))
-    assert [done(chosen, own, touch) for touch, own in enumerate(("bump", "wave"))] == [["any"], ["any"]]
-
-
-def test_a_rule_for_a_blow_needs_other_and_its_strength() -> None:
-    chosen = Choice(
-        rules("[{do: [{say: thanks}]}, {do: [{say: Ouch}], gestures: [other], above: {peak: 300}}]")
-    )
-    poked = Feel(**dict.fromkeys(MEASURES, 0.0))
-    struck = msgspec.structs.replace(poked, peak=600.0)
-    assert done(chosen, "other", 1, feel=struck) == ["Ouch"]
-    assert done(chosen, "other", 2, feel=poked) == []
-    assert done(chosen, "pat", 3, feel=struck) == ["thanks"]
-
-
-def test_uncertain_triggers_only_a_rule_that_names_it() -> None:
-    chosen = Choice(rules("[{do: [{say: any}]}, {do: [{say: hm}], gestures: [uncertain]}]"))
-    assert done(chosen, "uncertain", 1, stage="uncertain") == ["hm"]
-
-
-def test_a_changed_answer_can_have_an_action_of_its_own() -> None:
-    chosen = Choice(
-        rules(
-            "[{do: [{say: a tickle}], gestures: [tickle]},"
-            " {do: [{say: 'oh, a tickle'}], gestures: [tickle], changed: true},"
-            " {do: [{say: a pat}], gestures: [pat]}]"
-        )
-    )
-    assert done(chosen, "tickle", 1) == ["a tickle"]
-    assert done(chosen, "stroke", 2) == []
-    assert done(chosen, "tickle", 2) == ["oh, a tickle"]
-    assert done(chosen, "pat", 2) == ["a pat"]
-
-
-def test_every_matching_rule_is_carried_out_in_order() -> None:
-    chosen = Choice(
-        rules("[{do: [{say: one}, {say: two}]}, {do: [{say: never}], gestures: [rub]}, {do: [{say: three}]}]")
-    )
-    assert done(chosen, "pat", 1) == ["one", "two", "three"]
-
-
-def test_a_rule_rests_for_its_refractory_time() -> None:
-    chosen = Choice(rules("[{do: [{say: slow}], refractory_s: 5}, {do: [{say: quick}]}]"))
-    times = [0.0, 4.9, 5.1]
-    assert [done(chosen, "pat", touch, now_s=now) for touch, now in enumerate(times)] == [
-        ["slow", "quick"],
-        ["quick"],
-        ["slow", "quick"],
-    ]
 
 
 def test_every_kind_of_action_reaches_the_robot_in_order() -> None:
@@ -196,9 +184,8 @@ def test_every_kind_of_action_reaches_the_robot_in_order() -> None:
         )
     )
     acts: list[Act] = []
-    begun: list[tuple[str, str]] = []
-    rules = {DEFAULT_PAD: (rule,)}
-    reactions = Reactions(rules, {}, acts.extend, lambda _, kind, what: begun.append((kind, what)))
+    begun: list[Event] = []
+    reactions = Reactions({DEFAULT_PAD: (rule,)}, {}, acts.extend, begun.append)
     reactions.on_answer(msgspec.structs.replace(PREDICTION, gesture="tickle", confidence=0.654))
     assert [(act.service, act.arguments) for act in acts] == [
         ("ALLeds", ("FaceLeds", 0xFF8000, 0.3)),
@@ -208,7 +195,7 @@ def test_every_kind_of_action_reaches_the_robot_in_order() -> None:
     ]
     for act in acts:
         act.on_begin()
-    assert begun == [
+    assert [(one.action, one.what) for one in begun if isinstance(one, RobotAction)] == [
         ("leds", "#ff8000"),
         ("animated_say", "A tickle!"),
         ("behavior", "animations/Stand/Gestures/Hey_1"),

@@ -10,7 +10,6 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pytest
 from rigs.ended_touch import ended_touch
@@ -352,18 +351,6 @@ def test_a_clock_that_runs_back_a_little_costs_no_frames() -> None:
         ms = round(number * 1000 / 54) - (900 if number >= 100 else 0) + 5000
         laid += len(ring.push(Frame(ms, 0.0, counts)))
     assert laid == 216
-
-
-def test_a_token_is_sent_to_no_unverified_robot(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    token = tmp_path / "token"
-    token.write_text("s3cret")
-    token.chmod(0o644)
-    there = RobotSettings(url="tcps://nao.local:9503", user="nao", token_file=str(token))
-    with pytest.raises(RobotError, match="trust_network") as refused:
-        client_of(there)
-    client_of(msgspec.structs.replace(there, trust_network=True))
-    assert "chmod 640" in caplog.text
-    assert "s3cret" not in caplog.text + str(refused.value)
 
 
 @pytest.mark.parametrize(

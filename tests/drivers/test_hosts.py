@@ -25,7 +25,8 @@ class Resolver:
     def __init__(self, known: dict[str, list[str]], takes_s: float = 0.0) -> None:
         self.known, self.takes_s, self.asked = known, takes_s, list[str]()
 
-    def __call__(self, host: str, port: int | None, **options: Any) -> list[Any]:
+    def __call__(self, name: str | bytes, port: int | None, **options: Any) -> list[Any]:
+        host = name.decode() if isinstance(name, bytes) else name
         self.asked.append(host)
         time.sleep(self.takes_s)
         if host not in self.known:
@@ -111,7 +112,7 @@ def silent() -> Iterator[int]:
 
 def test_a_host_that_is_silent_is_given_up_at_the_limit(silent: int) -> None:
     with pytest.raises(TimeoutError, match=r"no answer within 0\.3 s"):
-        hosts.dial([(socket.AF_INET, ("127.0.0.1", silent))], 0.3)
+        hosts.dial([(socket.AF_INET, ("127.0.0.1", silent))], 0.3, threading.Event())
 
 
 @pytest.mark.parametrize("takes_s", [5.0, 0.0], ids=["while the name is looked up", "while it connects"])
@@ -120,7 +121,7 @@ def test_stopping_ends_the_wait(resolve: Callable[..., Resolver], silent: int, t
     stopping = threading.Event()
     threading.Timer(0.2, stopping.set).start()
     started_s = time.monotonic()
-    with pytest.raises(OSError, match=r"slow\.lan cannot be resolved|is stopping"):
+    with pytest.raises(OSError, match=r"slow\.lan cannot be resolved|no answer within"):
         hosts.connect("slow.lan", silent, 30.0, stopping)
     assert time.monotonic() - started_s < 2.0
 

@@ -1,43 +1,31 @@
 """What a robot gets over the link, and what is logged of it; on a robot in this process."""
 
 import logging
-import re
 import threading
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import pytest
 from rigs.call_log import CallLog
-from rigs.robots import States, login_in, message
+from rigs.robots import DETAIL, GESTURE, STATUS, States, linked, login_in, message, say
 from rigs.stub_robot import StubRobot
 from rigs.wait import wait_for
 
-from touchd.drivers.frame import DEFAULT_PAD
-from touchd.drivers.robot.acting import say
 from touchd.drivers.robot.link import RobotLink
 from touchd.drivers.robot.session import RobotError, RobotLost, RobotSession, RobotSettings
 
-GESTURE, STATUS = "TouchGesture/Gesture", "TouchGesture/Status"
 URL = StubRobot.url
 
 
 @contextmanager
-def robot_and_link(
-    pads: Iterable[str] = (DEFAULT_PAD,), acts: bool = False
-) -> Iterator[tuple[StubRobot, RobotLink, CallLog, States]]:
+def robot_and_link(**settings: Any) -> Iterator[tuple[StubRobot, RobotLink, CallLog, States]]:
     """A robot that is switched on, a link to it that is up, the robot's calls and the link's states."""
-    calls, states = CallLog(), States()
-    with StubRobot(calls.add) as robot:
-        link = RobotLink(RobotSettings(url=URL), states, robot.open_session, pads=pads, acts=acts)
-        link.start()
-        try:
-            states.wait_for("up")
-            yield robot, link, calls, states
-        finally:
-            link.stop()
+    calls = CallLog()
+    with StubRobot(calls.add) as robot, linked(robot, **settings) as (link, states):
+        states.wait_for("up")
+        yield robot, link, calls, states
 
 
 def raised(calls: CallLog) -> list[tuple[object, ...]]:
@@ -71,7 +59,7 @@ def test_a_time_is_sent_in_seconds_and_microseconds_that_fit(time_s: float, sent
     with robot_and_link() as (_, link, calls, _):
         link.put(message(time_s=time_s, sequence=2**31 - 1))
         calls.wait_for_raise(GESTURE, "stroke")
-    (detail,) = calls.raised("TouchGesture/Detail")
+    (detail,) = calls.raised(DETAIL)
     assert isinstance(detail, list)
     assert (detail[2], detail[-1]) == (sent, 2**31 - 1)
 
@@ -103,55 +91,62 @@ def test_the_status_is_sent_once_for_each_change() -> None:
     assert calls.raised(STATUS) == ["up", "down", "up", "down"]
 
 
-def test_a_robot_that_comes_and_goes_is_logged_and_reported(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_robot_that_comes_and_goes_is_logged_once_and_reported(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     with robot_and_link() as (robot, _, calls, states):
-        robot.kill()
-        states.wait_for("up", "down")
-        robot.start()
-        states.wait_for("up", "down", "up")
-        assert calls.raised(STATUS) == ["up", "up"]
+        for times in (1, 2):
+            robot.kill()
+            states.wait_for(*["up", "down"] * times)
+            robot.start()
+            states.wait_for(*["up", "down"] * times, "up")
+        assert calls.raised(STATUS) == ["up"] * 3
     why = "the connection was closed by the robot"
-    assert states.told == [("up", ""), ("down", why), ("up", "")]
+    assert states.told == [*[("up", ""), ("down", why)] * 2, ("up", "")]
     first, second, third = (record.getMessage() for record in caplog.records)
     assert first == f"robot {URL} is up"
     assert second == f"robot {URL} is down ({why}); trying until it is there"
     assert third.startswith(f"robot {URL} is up again (after ")
 
 
-def test_causes_that_differ_in_their_numbers_are_logged_once(caplog: pytest.LogCaptureFixture) -> None:
-    tried: list[str] = []
+def test_a_robot_that_is_away_is_tried_ever_less_often_and_logged_once(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    tried: list[float] = []
 
     def late(*_: object) -> RobotSession:
-        tried.append("")
+        tried.append(time.monotonic())
         raise RobotLost(f"no answer within {len(tried)}.5 s")
 
     states = States()
     link = RobotLink(RobotSettings(url=URL), states, late)
     link.start()
-    wait_for(lambda: len(tried) >= 3)
+    wait_for(lambda: len(tried) >= 4)
     link.stop()
+    # Pauses of 0.1, 0.2 and 0.4 s, each shortened by at most half.
+    assert tried[3] - tried[0] >= 0.35
     assert [record.levelname for record in caplog.records] == ["WARNING"]
     assert states.told == [("down", "no answer within 1.5 s")]
 
 
-def test_a_failing_listener_leaves_the_link_at_work(caplog: pytest.LogCaptureFixture) -> None:
-    def fails(*_: object) -> None:
-        raise ValueError("a bug")
+def test_an_internal_error_is_retried(caplog: pytest.LogCaptureFixture) -> None:
+    failures = iter([TypeError("no such thing")])
+    states = States()
+    with StubRobot() as robot:
 
-    calls = CallLog()
-    with StubRobot(calls.add) as robot:
-        link = RobotLink(RobotSettings(url=URL), fails, robot.open_session)
+        def open_session(*_: object) -> RobotSession:
+            for failure in failures:
+                raise failure
+            return robot.open_session()
+
+        link = RobotLink(RobotSettings(url=URL), states, open_session)
         link.start()
-        link.put(message())
-        calls.wait_for_raise(GESTURE, "stroke")
+        states.wait_for("down", "up")
         link.stop()
-    assert [one.getMessage() for one in caplog.records] == ["the state of the robot could not be reported"]
+    assert "internal error in the link to the robot" in caplog.messages
 
 
 def test_a_link_may_be_stopped_twice_and_before_it_starts() -> None:
-    unstarted = RobotLink(RobotSettings(url=URL), open_session=StubRobot().open_session)
-    unstarted.stop()
+    RobotLink(RobotSettings(url=URL), open_session=StubRobot().open_session).stop()
     with robot_and_link() as (_, link, calls, _):
         link.stop()
         link.stop()
@@ -192,104 +187,58 @@ def test_acts_need_a_link_that_was_made_for_them() -> None:
         ("tcps://nao.local:1", "nao.local", 1),
         ("tcp://nao.local:65535", "nao.local", 65535),
         ("TCP://Nao.local:9559 ", "Nao.local", 9559),
-        ("tcp://[::1]:9559", "::1", 9559),
         ("tcp://[fe80::1%eth0]:9559", "fe80::1%eth0", 9559),
+        *(("tcp://nao", "nao", 9559), ("tcps://nao:", "nao", 9503), ("tcp://[::1]", "::1", 9559)),
     ],
 )
 def test_these_are_addresses(url: str, host: str, port: int) -> None:
     assert RobotSettings(url=url).address[1:] == (host, port)
 
 
-@pytest.mark.parametrize(
-    "url",
-    [
-        *("tcp://nao:65536", "tcp://nao:123456", "tcp://nao:0", "udp://nao:9559", "tcp://a b:9559"),
-        *("nao.local:9559", "tcp://nao.local:port", "tcp://::1:9559", "tcp://nao:9559/x"),
-    ],
-)
-def test_other_addresses_are_refused_with_an_example(url: str) -> None:
-    with pytest.raises(ValueError, match=r"is not an address such as tcp://nao\.local:9559"):
-        RobotSettings(url=url)
+NO_ADDRESS = r"is not an address such as tcp://nao\.local:9559"
+NAO, PIN = "tcps://nao:9503", f"sha256:{'0a:' * 31}0A"
+TOKEN = {"user": "nao", "token_file": "/dev/null"}
 
 
 @pytest.mark.parametrize(
-    ("url", "proposed"),
+    ("settings", "complaint"),
     [
-        ("tcp://nao", "tcp://nao:9559"),
-        ("tcps://nao:", "tcps://nao:9503"),
-        ("tcp://[::1]", "tcp://[::1]:9559"),
+        *(({"url": f"tcp://nao:{port}"}, NO_ADDRESS) for port in (65536, 123456, 0, "port", "9559/x")),
+        *(
+            ({"url": url}, NO_ADDRESS)
+            for url in ("udp://nao:1", "tcp://a b:9", "nao.local:9559", "tcp://::1:9")
+        ),
+        ({"url": "tcp://nao:s3cret@nao:9559"}, rf"tcp://\*\*\*@nao:9559' {NO_ADDRESS}"),
+        *(({"url": NAO, "prefix": prefix}, "must be one word") for prefix in ("ALTouch", "a/b", "")),
+        *(({"url": NAO, name: value}, "set both") for name, value in TOKEN.items()),
+        ({"url": NAO, "user": "nao", "token_file": "s3cret"}, "token_file is not a full path"),
+        ({"url": "tcp://nao:9559", **TOKEN}, "not encrypted; use tcps://"),
+        ({"url": "tcp://nao:9559", "certificate": PIN}, "not encrypted; use tcps://"),
+        ({"url": NAO, "certificate": PIN, "client": "qi"}, "qi accepts any certificate"),
     ],
 )
-def test_the_usual_port_is_proposed(url: str, proposed: str) -> None:
-    with pytest.raises(ValueError, match=f"lacks its port, usually \\d+: {re.escape(proposed)}$"):
-        RobotSettings(url=url)
-
-
-def test_a_password_in_an_address_is_not_shown() -> None:
-    with pytest.raises(ValueError, match=r"tcp://\*\*\*@nao") as error:
-        RobotSettings(url="tcp://nao:s3cret@nao:9559")
+def test_settings_that_cannot_be_meant_are_refused(settings: dict[str, Any], complaint: str) -> None:
+    with pytest.raises(ValueError, match=complaint) as error:
+        RobotSettings(**settings)
     assert "s3cret" not in str(error.value)
 
 
-TOKEN = {"user": "nao", "token_file": "/dev/null"}
-PIN = f"sha256:{'0a:' * 31}0A"
-
-
 @pytest.mark.parametrize(
-    ("settings", "complaint"),
+    ("token_file", "complaint"),
     [
-        ({"url": "tcps://nao:9503", "user": "nao"}, "set token_file"),
-        ({"url": "tcps://nao:9503", "token_file": "/dev/null"}, "no user"),
-        ({"url": "tcp://nao:9559", **TOKEN}, "not encrypted; use tcps://"),
-        ({"url": "tcp://nao:9559", "certificate": PIN}, "not encrypted; use tcps://"),
-        ({"url": "tcps://nao:9503", "certificate": PIN, "client": "qi"}, "qi accepts any certificate"),
+        ("/no/such", r"cannot be read \(No such"),
+        ("/dev/zero", "is empty .* larger than 4096"),
+        ("/dev/null", "is empty"),
     ],
 )
-def test_settings_that_contradict_each_other_are_refused(settings: dict[str, Any], complaint: str) -> None:
-    with pytest.raises(ValueError, match=complaint):
-        RobotSettings(**settings)
+def test_a_token_that_cannot_be_read_is_named(token_file: str, complaint: str) -> None:
+    with pytest.raises(RobotError, match=rf"robot\.token_file {token_file} {complaint}"):
+        RobotLink(RobotSettings(url=NAO, user="nao", token_file=token_file))
 
 
-@pytest.mark.parametrize(
-    ("settings", "complaint"),
-    [
-        ({"token_file": "/no/such"}, r"robot\.token_file /no/such cannot be read \(No such"),
-        ({"token_file": "/dev/zero"}, "larger than 4096 bytes"),
-        ({"token_file": "/dev/null"}, "/dev/null is empty"),
-        ({"certificate": "/no/such"}, r"robot\.certificate /no/such: .*\(No such"),
-        ({"certificate": "/dev/null"}, r"robot\.certificate /dev/null: neither sha256: "),
-        ({"certificate": "sha256:abc"}, r"robot\.certificate sha256:abc: neither sha256: "),
-    ],
-)
-def test_what_cannot_be_read_is_reported_in_one_line(settings: dict[str, Any], complaint: str) -> None:
-    with pytest.raises(RobotError, match=complaint):
-        RobotLink(RobotSettings(url="tcps://127.0.0.1:9503", **TOKEN | settings))
-
-
-def test_a_token_is_sent_only_where_the_robot_is_known(tmp_path: Path) -> None:
-    login = login_in(tmp_path)
+def test_a_token_is_sent_only_where_the_robot_is_known(tmp_path: Any) -> None:
+    login = {**login_in(tmp_path), "trust_network": False}
     for known in ({"certificate": PIN}, {"trust_network": True}):
-        RobotLink(RobotSettings(url="tcps://nao:9503", **login, **known))
-    RobotLink(RobotSettings(url="tcps://127.0.0.1:9503", **login))
+        RobotLink(RobotSettings(url=NAO, **login | known))
     with pytest.raises(RobotError, match=r"robot\.certificate .* or robot\.trust_network"):
-        RobotLink(RobotSettings(url="tcps://nao:9503", **login))
-
-
-def test_two_daemons_with_one_prefix_are_told_apart(caplog: pytest.LogCaptureFixture) -> None:
-    with robot_and_link() as (robot, _, calls, _):
-        wait_for(lambda: calls.raised(STATUS) == ["up"])
-        second = RobotLink(RobotSettings(url=URL), open_session=robot.open_session)
-        second.set_status("down")
-        second.start()
-        # The first pad is up, whatever the other daemon writes.
-        wait_for(lambda: calls.raised(STATUS) == ["up", "down", "up"])
-        second.set_status("up")
-        wait_for(lambda: calls.raised(STATUS) == ["up", "down", "up", "up"])
-        second.stop()
-        wait_for(lambda: calls.raised(STATUS)[-1] == "up")
-        assert calls.raised(STATUS).count("down") in (1, 2)
-    said = [line for line in caplog.messages if "another touchd" in line]
-    assert said[0] == f"another touchd writes {STATUS}; give one of them robot.prefix"
-    # Each link says it once at most, and its end says nothing of the other's pad.
-    assert len(said) <= 2
-    assert calls.raised(STATUS)[-1] == "up"
+        RobotLink(RobotSettings(url=NAO, **login))

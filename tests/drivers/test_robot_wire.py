@@ -1,24 +1,31 @@
 """The robot's protocol: what its server sent, and what no robot should send."""
 
-import random
 import socket
 import struct
 import threading
 import time
 import tracemalloc
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
-from rigs.attackers import server
+from rigs.attackers import Attack, never_answers, server
 from rigs.sockets import free_port
 from rigs.wait import AT_ONCE_S
 
-from touchd.drivers.robot.session import RobotLimits, RobotLost, RobotRefused, RobotSession, RobotSettings
-from touchd.drivers.robot.values import ValueFault, read, write
+from touchd.drivers.robot.session import (
+    RobotLimits,
+    RobotLost,
+    RobotRefused,
+    RobotSession,
+    RobotSettings,
+    Wait,
+)
+from touchd.drivers.robot.values import read, write
 from touchd.drivers.robot.wire import (
     AUTH_STATE,
     AUTHENTICATE,
@@ -28,48 +35,48 @@ from touchd.drivers.robot.wire import (
     MAGIC,
     MOST_BYTES,
     REPLY,
+    Connection,
     WireSession,
 )
 
 EXCHANGE = Path(__file__).parents[1] / "recordings/robot-qi-3.1.5.txt"
 MOST_MEMORY_BYTES = 4_000_000
 LIMITS = RobotLimits(connect_s=0.3)
+NAO = RobotSettings(url="tcp://nao:9559")
 Sent = tuple[int, tuple[int, int, int], bytes]
 """A message from the session: its id, its target and its payload."""
 Script = Callable[[Sent], bytes]
 """Returns the bytes that answer a message."""
 
 
-def said(kind: int, number: int, payload: bytes, *, flags: int = 0, magic: bytes = MAGIC) -> bytes:
-    return HEADER.pack(magic, number, len(payload), 0, kind, flags, 1, 1, 100) + payload
-
-
-def received(client: socket.socket) -> Iterator[Sent]:
-    def exactly(size: int) -> bytes:
-        data = b""
-        while len(data) < size and (piece := client.recv(size - len(data))):
-            data += piece
-        return data
-
-    while header := exactly(HEADER.size):
-        _, number, size, _, _, _, service, of, action = HEADER.unpack(header)
-        yield number, (service, of, action), exactly(size)
+def said(kind: int, number: int, payload: bytes, *, magic: bytes = MAGIC) -> bytes:
+    return HEADER.pack(magic, number, len(payload), 0, kind, 0, 1, 1, 100) + payload
 
 
 @contextmanager
-def robot_of(script: Script, limits: RobotLimits = LIMITS) -> Iterator[RobotSession]:
-    """A session, not yet connected, with a robot that answers each message by a script."""
+def session_with(attack: Attack, limits: RobotLimits = LIMITS) -> Iterator[RobotSession]:
+    """A session, not yet connected, with a peer that does what an attack says."""
+    port = free_port()
+    reached = RobotSettings(url=f"tcp://127.0.0.1:{port}")
+    with server(port, attack), closing(WireSession(reached, limits, threading.Event())) as session:
+        yield session
+
+
+def by(script: Script) -> Attack:
+    """Answer each message by a script."""
 
     def answer(client: socket.socket, _goes_on: Callable[[], bool]) -> None:
         client.settimeout(10.0)
-        for sent in received(client):
-            client.sendall(script(sent))
+        while header := client.recv(HEADER.size, socket.MSG_WAITALL):
+            _, number, size, _, _, _, *target = HEADER.unpack(header)
+            payload = client.recv(size, socket.MSG_WAITALL) if size else b""
+            client.sendall(script((number, tuple(target), payload)))  # type: ignore[arg-type]
 
-    port = free_port()
-    with server(port, answer), ExitStack() as closed:
-        session = WireSession(RobotSettings(url=f"tcp://127.0.0.1:{port}"), limits, threading.Event())
-        closed.callback(session.close)
-        yield session
+    return answer
+
+
+def robot_of(script: Script, limits: RobotLimits = LIMITS) -> Any:
+    return session_with(by(script), limits)
 
 
 def logged_in(number: int, state: int = 3) -> bytes:
@@ -95,12 +102,8 @@ def test_a_recorded_robot_is_understood_message_by_message() -> None:
             elif (sent := client.recv(len(message), socket.MSG_WAITALL)) != message:
                 wrong.append(sent)
 
-    with (
-        server(port, play),
-        closing(
-            WireSession(RobotSettings(url=f"tcp://127.0.0.1:{port}"), LIMITS, threading.Event())
-        ) as robot,
-    ):
+    reached = RobotSettings(url=f"tcp://127.0.0.1:{port}")
+    with server(port, play), closing(WireSession(reached, LIMITS, threading.Event())) as robot:
         robot.connect()
         assert robot.call("ALSystem", "systemVersion", limit_s=5) == "2.8.7.4"
         detail = ["stroke", 0.75, [1_790_000_000, 250_000], "early", 7, 12]
@@ -111,65 +114,52 @@ def test_a_recorded_robot_is_understood_message_by_message() -> None:
     assert wrong == []
 
 
-@pytest.mark.parametrize("message", [said(ERROR, 1, write("m", "no such action")), logged_in(1)])
-def test_a_robot_with_and_without_a_login_is_reached(message: bytes) -> None:
-    with robot_of(lambda _: message) as robot:
-        robot.connect()
-        assert robot.connected()
-
-
-def test_a_login_may_take_two_rounds() -> None:
-    with robot_of(lambda sent: logged_in(sent[0], 2 if sent[0] == 1 else 3)) as robot:
-        robot.connect()
-
-
-@pytest.mark.parametrize("state", [1, 2])
-def test_a_refused_login_is_down_with_advice(state: int) -> None:
-    with (
-        robot_of(lambda sent: logged_in(sent[0], state)) as robot,
-        pytest.raises(RobotLost, match=r"the login is refused; .* check user and token"),
-    ):
-        robot.connect()
-
-
 @pytest.mark.parametrize(
-    "between",
+    "before",
     [
+        pytest.param(b"", id="nothing"),
         pytest.param(said(6, 1, write("{sm}", {"MessageFlags": True})), id="its capabilities"),
         pytest.param(said(5, 77, b"\xff" * 1000), id="an event"),
         pytest.param(said(CALL, 2, b""), id="a call with our number"),
         pytest.param(said(REPLY, 99, b"late"), id="a late answer"),
         pytest.param(said(4, 0, bytes(MOST_BYTES)), id="the longest message"),
         pytest.param(said(5, 1, b"") * 1000, id="a thousand events"),
+        pytest.param(said(ERROR, 1, write("m", "no such action")), id="no login, as NAOqi 2.1"),
     ],
 )
-def test_what_was_not_asked_for_is_skipped(between: bytes) -> None:
-    with robot_of(lambda sent: between + logged_in(sent[0])) as robot:
+def test_a_robot_is_reached_whatever_it_sends_before_its_answer(before: bytes) -> None:
+    with robot_of(lambda sent: before + logged_in(sent[0])) as robot:
         robot.connect()
+        assert robot.connected()
+
+
+NO_ROBOT = r"does not speak NAOqi's protocol; .* tcp:// or tcps://"
 
 
 @pytest.mark.parametrize(
-    "message",
+    ("message", "complaint"),
     [
-        pytest.param(said(REPLY, 1, b"", magic=b"HTTP"), id="another protocol"),
-        pytest.param(HEADER.pack(MAGIC, 1, MOST_BYTES + 1, 0, REPLY, 0, 0, 0, 8), id="a lying length"),
-        pytest.param(HEADER.pack(MAGIC, 9, 2**32 - 1, 0, 5, 0, 0, 0, 8), id="an event of 4 GB"),
-        pytest.param(b"\x15\x03\x01\x00\x02\x02\x16" * 10, id="TLS"),
+        pytest.param(logged_in(1, 1), "the login is refused; .* check user and token", id="refused"),
+        pytest.param(logged_in(1, 2), "the login is refused", id="wants more than a token"),
+        pytest.param(said(REPLY, 1, b"", magic=b"HTTP"), NO_ROBOT, id="another protocol"),
+        pytest.param(b"\x15\x03\x01\x00\x02\x02\x16" * 10, NO_ROBOT, id="TLS"),
+        pytest.param(
+            HEADER.pack(MAGIC, 1, MOST_BYTES + 1, 0, REPLY, 0, 0, 0, 8), NO_ROBOT, id="a lying length"
+        ),
+        pytest.param(HEADER.pack(MAGIC, 9, 2**32 - 1, 0, 5, 0, 0, 0, 8), NO_ROBOT, id="an event of 4 GB"),
     ],
 )
-def test_what_is_no_robot_is_down_with_advice(message: bytes) -> None:
-    with robot_of(lambda _: message) as robot:
-        started_s = time.monotonic()
-        with pytest.raises(RobotLost, match=r"does not speak NAOqi's protocol; .* tcp:// or tcps://"):
-            robot.connect()
-        assert time.monotonic() - started_s < AT_ONCE_S
+def test_what_is_no_robot_is_down_with_advice(message: bytes, complaint: str) -> None:
+    with robot_of(lambda _: message) as robot, pytest.raises(RobotLost, match=complaint):
+        robot.connect()
 
 
 def drips(client: socket.socket, goes_on: Callable[[], bool]) -> None:
     """Send the bytes of an answer so slowly that it never ends."""
-    while goes_on():
-        client.sendall(b"\x42")
-        time.sleep(0.04)
+    for byte in said(5, 0, bytes(100_000)):
+        if goes_on():
+            client.sendall(bytes([byte]))
+            time.sleep(0.04)
 
 
 def talks(client: socket.socket, goes_on: Callable[[], bool]) -> None:
@@ -178,33 +168,58 @@ def talks(client: socket.socket, goes_on: Callable[[], bool]) -> None:
         client.sendall(said(5, 0, bytes(1000)) * 100)
 
 
-def stays_silent(client: socket.socket, goes_on: Callable[[], bool]) -> None:
+def reads_nothing(_client: socket.socket, goes_on: Callable[[], bool]) -> None:
     while goes_on():
         time.sleep(0.02)
 
 
-@pytest.mark.parametrize("attack", [drips, talks, stays_silent])
+def stops_midway(client: socket.socket, goes_on: Callable[[], bool]) -> None:
+    client.sendall(logged_in(1)[:40])
+    reads_nothing(client, goes_on)
+
+
+@pytest.mark.parametrize("attack", [drips, talks, never_answers, reads_nothing, stops_midway])
 @pytest.mark.parametrize("is_stopping", [False, True])
-def test_every_wait_has_its_limit(
-    attack: Callable[[socket.socket, Callable[[], bool]], None], is_stopping: bool
-) -> None:
-    port, stopping = free_port(), threading.Event()
+def test_every_wait_has_its_limit(attack: Attack, is_stopping: bool) -> None:
     limits = RobotLimits(connect_s=60.0 if is_stopping else 0.4)
-    with (
-        server(port, attack),
-        closing(WireSession(RobotSettings(url=f"tcp://127.0.0.1:{port}"), limits, stopping)) as robot,
-    ):
+    with session_with(attack, limits) as robot:
         if is_stopping:
-            threading.Timer(0.1, stopping.set).start()
+            robot._stopping.set()  # type: ignore[attr-defined]
         started_s = time.monotonic()
-        with pytest.raises(RobotLost, match=r"connecting: (no answer within|.* NAOqi's protocol)"):
+        with pytest.raises(RobotLost, match=r"connecting: no answer within|did not|timed out"):
             robot.connect()
         assert time.monotonic() - started_s < AT_ONCE_S
 
 
-def info(port: int, host: str = "127.0.0.1") -> bytes:
+def test_a_robot_that_dies_within_a_message_is_lost_at_once() -> None:
+    with (
+        session_with(lambda client, _: client.sendall(logged_in(1)[:40])) as robot,
+        pytest.raises(RobotLost, match=r"connecting: (disconnected|Connection reset)"),
+    ):
+        robot.connect()
+
+
+def test_a_robot_that_stops_reading_is_lost_at_once() -> None:
+    def reads_a_login(client: socket.socket, goes_on: Callable[[], bool]) -> None:
+        client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        client.sendall(logged_in(1) + said(REPLY, 2, info(client.getsockname()[1])) + said(REPLY, 3, META))
+        reads_nothing(client, goes_on)
+
+    with session_with(reads_a_login) as robot:
+        robot.connect()
+        started_s = time.monotonic()
+        with pytest.raises(RobotLost, match=r"ALMemory\.raiseEvent: timed out"):
+            robot.call("ALMemory", "raiseEvent", "Pad/Gesture", "x" * 50_000_000, limit_s=60.0)
+        assert time.monotonic() - started_s < AT_ONCE_S
+        assert not robot.connected()
+
+
+def info(port: int, *hosts: str) -> bytes:
     """What the directory tells of a service in another process."""
-    return write("(sIsI[s]s)", ("ALMemory", 7, "robot", 1, [f"tcp://{host}:{port}"], ""))
+    endpoints = [
+        f"{scheme}://{host}:{port}" for host in hosts or ("127.0.0.1",) for scheme in ("tcps", "tcp")
+    ]
+    return write("(sIsI[s]s)", ("ALMemory", 7, "robot", 1, ["qi:relative", *endpoints], ""))
 
 
 METHODS = {
@@ -220,24 +235,37 @@ META = write("({I(Issss[(ss)]s)}s)", (METHODS, "more, which newer robots send"))
 def test_a_service_in_another_process_has_its_own_connection(host: str) -> None:
     asked: list[tuple[int, int, int]] = []
 
-    def other(client: socket.socket, _goes_on: Callable[[], bool]) -> None:
-        for number, target, _ in received(client):
-            asked.append(target)
-            answer = META if target[2] == 2 else b""
-            client.sendall(logged_in(number) if target == AUTHENTICATE else said(REPLY, number, answer))
+    def other(sent: Sent) -> bytes:
+        asked.append(sent[1])
+        return said(REPLY, sent[0], META if sent[1][2] == 2 else b"")
+
+    def with_login(sent: Sent) -> bytes:
+        asked.extend([AUTHENTICATE] if sent[1] == AUTHENTICATE else [])
+        return after_login(other)(sent)
 
     port = free_port()
     directory = after_login(lambda sent: said(REPLY, sent[0], info(port, host)))
-    with server(port, other), robot_of(directory, RobotLimits()) as robot:
+    with server(port, by(with_login)), robot_of(directory, RobotLimits()) as robot:
         robot.connect()
         robot.call("ALMemory", "raiseEvent", "Pad/Gesture", "pat", limit_s=5)
     assert asked == [AUTHENTICATE, (7, 1, 2), (7, 1, 100)]
 
 
-def test_a_service_whose_process_is_away_is_refused_and_the_session_goes_on() -> None:
-    with robot_of(after_login(lambda sent: said(REPLY, sent[0], info(free_port())))) as robot:
+@pytest.mark.parametrize(
+    ("found", "complaint"),
+    [
+        (lambda: info(free_port()), "Connection refused"),
+        (lambda: info(99999), "port"),
+        (lambda: b"\xff" * 40, "the answer cannot be read"),
+    ],
+    ids=["its process is away", "no port", "unreadable"],
+)
+def test_a_service_out_of_reach_is_refused_and_the_session_goes_on(
+    found: Callable[[], bytes], complaint: str
+) -> None:
+    with robot_of(after_login(lambda sent: said(REPLY, sent[0], found()))) as robot:
         robot.connect()
-        with pytest.raises(RobotRefused, match="looking for ALMemory: Connection refused"):
+        with pytest.raises(RobotRefused, match=f"looking for ALMemory: .*{complaint}"):
             robot.call("ALMemory", "getData", "Pad/Gesture", limit_s=5)
         assert robot.connected()
 
@@ -250,9 +278,8 @@ def test_the_method_that_takes_the_arguments_is_called(arguments: tuple[object, 
 
     def answer(sent: Sent) -> bytes:
         asked.append(sent)
-        number, target, _ = sent
-        found = {100: info(int(robot._settings.address.port)), 2: META}  # type: ignore[attr-defined]
-        return said(REPLY, number, found.get(target[2], write("s", "done")))
+        found = {100: info(robot._settings.address.port), 2: META}
+        return said(REPLY, sent[0], found.get(sent[1][2], write("s", "done")))
 
     with robot_of(after_login(answer)) as robot:
         robot.connect()
@@ -260,67 +287,57 @@ def test_the_method_that_takes_the_arguments_is_called(arguments: tuple[object, 
     assert asked[-1][1] == (7, 1, action)
 
 
+WIDE = struct.pack("<I", MOST_BYTES - 8) + "\N{WAVING HAND SIGN}".encode() + b"x" * (MOST_BYTES - 12)
+DEEP = write("s", "[" * 150_000 + "]" * 150_000) + b"\x01\0\0\0" * 2000
+MANY = b"\xff" * MOST_BYTES
 BOMBS = [
     *("[v]", "[[v]]", "[()]", "{v[v]}", "[b]", "[m]", "[s]", "[(bb)]", "[l]", "s", "r", "m", "X", "", "sv"),
     *("[" * 400 + "v" + "]" * 400, "(" * 400 + ")" * 400, "[", "]", "<", "()<", "(v)<a,b", "[vv]", "{b}"),
 ]
 
 
-@pytest.mark.parametrize("signature", BOMBS)
-def test_no_value_takes_much_memory_or_time(signature: str) -> None:
-    data = (write("s", signature) + b"\xff" * MOST_BYTES)[:MOST_BYTES]
-    started_s = time.thread_time()
-    with suppress(ValueFault):
-        read("m", data)
-    assert time.thread_time() - started_s < 1.0
+@pytest.mark.parametrize(
+    ("signature", "data"),
+    [
+        *((own, MANY) for own in BOMBS),
+        *(("s", WIDE), ("s", bytes(MOST_BYTES)), ("{[v]v}", struct.pack("<II", 1, 0))),
+        *(("m", b"\x01\0\0\0m" * 80_000), ("m", DEEP)),
+    ],
+)
+def test_no_message_takes_much_memory_or_time(signature: str, data: bytes) -> None:
+    answer = (write("s", signature) + data)[:MOST_BYTES]
+    line = Pieces([said(ERROR, 1, answer), said(ERROR, 2, answer)])
     tracemalloc.start()
     try:
-        with suppress(ValueFault):
-            read("m", data)
-        # Beside the message itself.
-        assert tracemalloc.get_traced_memory()[1] < MOST_MEMORY_BYTES - MOST_BYTES
+        started_s = time.thread_time()
+        with suppress(RobotLost, RobotRefused):
+            connection = Connection(line, NAO, endless("connecting"))
+            connection.call((1, 1, 1), b"", "s", endless("a call"))
+        assert time.thread_time() - started_s < 3.0
+        assert tracemalloc.get_traced_memory()[1] < MOST_MEMORY_BYTES
     finally:
         tracemalloc.stop()
 
 
-@pytest.mark.parametrize("message", [said(REPLY, 1, bytes(MOST_BYTES)), said(REPLY, 1, b"\xff" * MOST_BYTES)])
-def test_the_longest_message_takes_little_memory(message: bytes) -> None:
-    with robot_of(lambda _: message, RobotLimits(connect_s=20.0)) as robot:
-        tracemalloc.start()
-        try:
-            with suppress(RobotLost):
-                robot.connect()
-            assert tracemalloc.get_traced_memory()[1] < MOST_MEMORY_BYTES
-        finally:
-            tracemalloc.stop()
+class Pieces(socket.socket):
+    """A connection on which bytes come in pieces, and which then ends."""
+
+    def __init__(self, pieces: list[bytes]) -> None:
+        super().__init__()
+        self._left = [piece for piece in pieces if piece]
+
+    def recv(self, size: int, _flags: int = 0) -> bytes:
+        piece = self._left.pop(0) if self._left else b""
+        if piece[size:]:
+            self._left.insert(0, piece[size:])
+        return piece[:size]
+
+    def sendall(self, data: Any, _flags: int = 0) -> None:
+        pass
 
 
-@pytest.mark.parametrize("answer", [b"", b"\xff" * 40, write("{sm}", {"a": 1})[:-1]])
-def test_a_login_that_cannot_be_read_is_no_robot(answer: bytes) -> None:
-    with (
-        robot_of(lambda sent: said(REPLY, sent[0], answer)) as robot,
-        pytest.raises(RobotLost, match=r"connecting: the answer cannot be read .*; if a robot is there"),
-    ):
-        robot.connect()
-
-
-def test_a_service_that_cannot_be_read_is_refused_and_the_session_goes_on() -> None:
-    with robot_of(after_login(lambda sent: said(REPLY, sent[0], b"\xff" * 40))) as robot:
-        robot.connect()
-        with pytest.raises(RobotRefused, match="looking for ALMemory: the answer cannot be read"):
-            robot.call("ALMemory", "getData", "Pad/Gesture", limit_s=5)
-        assert robot.connected()
-
-
-def test_a_text_of_wide_characters_takes_little_memory() -> None:
-    data = struct.pack("<I", MOST_BYTES - 4) + "\N{WAVING HAND SIGN}".encode() + b"x" * (MOST_BYTES - 8)
-    tracemalloc.start()
-    try:
-        with pytest.raises(ValueFault):
-            read("s", data)
-        assert tracemalloc.get_traced_memory()[1] < 100_000
-    finally:
-        tracemalloc.stop()
+def endless(what: str) -> Wait:
+    return Wait(what, 60.0, threading.Event())
 
 
 signatures = st.recursive(
@@ -337,14 +354,14 @@ signatures = st.recursive(
 @settings(max_examples=200, deadline=None)
 @given(st.one_of(signatures, st.text("bsm[](){}<>,iXv", max_size=40)), st.binary(max_size=200))
 def test_any_bytes_are_a_value_or_a_fault(signature: str, data: bytes) -> None:
-    with suppress(ValueFault):
+    with suppress(ValueError):
         read(signature, data)
 
 
 plain = st.recursive(
     st.one_of(
         st.booleans(),
-        st.integers(-(2**63), 2**63 - 1),
+        st.integers(-(2**31), 2**31 - 1),
         # ONNX Runtime, where another test has loaded it, counts denormals as zero.
         st.floats(allow_nan=False, allow_subnormal=False),
         st.text(st.characters(codec="utf-8"), max_size=20),
@@ -360,58 +377,42 @@ def test_what_is_written_is_read_again(value: object) -> None:
     assert read("m", write("m", value)) == value
 
 
-def mutated(messages: bytes, seed: int) -> bytes:
-    """Cut, repeat and change bytes of what a robot sent."""
-    noise = random.Random(seed)
-    data = bytearray(messages)
-    for _ in range(noise.randrange(1, 8)):
-        at = noise.randrange(len(data)) if data else 0
-        match noise.randrange(4):
-            case 0:
-                data[at : at + 1] = bytes([noise.randrange(256)])
-            case 1:
-                del data[at : at + noise.randrange(40)]
-            case 2:
-                data[at:at] = noise.randbytes(noise.randrange(40))
-            case _:
-                data[at : at + 4] = struct.pack("<I", noise.choice([0, 1, 2**16, 2**31, 2**32 - 1]))
-    return bytes(data[: noise.randrange(len(data) + 1)] if noise.random() < 0.5 else data)
+ROBOTS = b"".join(
+    bytes.fromhex(line.split()[1].replace("PORT", b"9559".hex()))
+    for line in EXCHANGE.read_text().splitlines()
+    if line.startswith("robot")
+)
 
 
-@pytest.fixture(scope="module")
-def listener() -> Iterator[socket.socket]:
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        yield listener
+def damaged(changes: list[tuple[int, int, bytes]], size: int) -> bytes:
+    data = bytearray(ROBOTS)
+    for at, replaced, noise in changes:
+        data[at : at + replaced] = noise
+    return bytes(data[:size])
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.one_of(st.binary(max_size=300), st.integers(0, 2**32).map(lambda seed: seed)))
-def test_any_bytes_end_in_an_answer_or_a_lost_robot(listener: socket.socket, sent: bytes | int) -> None:
-    port = listener.getsockname()[1]
-    if isinstance(sent, int):
-        lines = EXCHANGE.read_text().replace("PORT", str(port).encode().hex()).splitlines()[1:]
-        robots = b"".join(bytes.fromhex(line.split()[1]) for line in lines if line.startswith("robot"))
-        sent = mutated(robots, sent)
-    limits = RobotLimits(connect_s=1.0)
-    session = WireSession(RobotSettings(url=f"tcp://127.0.0.1:{port}"), limits, threading.Event())
+within = st.integers(0, len(ROBOTS))
+changes = st.lists(st.tuples(within, st.integers(0, 40), st.binary(max_size=40)), max_size=6)
 
-    def serve() -> None:
-        with listener.accept()[0] as client, suppress(OSError):
-            client.sendall(sent)
-            client.shutdown(socket.SHUT_WR)
-            while client.recv(65536):
-                pass
 
-    serving = threading.Thread(target=serve)
-    serving.start()
-    started_s = time.monotonic()
+@settings(max_examples=300, deadline=None)
+@given(
+    st.one_of(st.binary(max_size=300), st.builds(damaged, changes, within)),
+    st.lists(st.integers(1, 2000), max_size=20),
+)
+def test_any_bytes_at_any_cut_end_in_an_answer_or_a_lost_robot(sent: bytes, sizes: list[int]) -> None:
+    pieces: list[bytes] = []
+    for size in sizes:
+        pieces, sent = [*pieces, sent[:size]], sent[size:]
+    session = WireSession(NAO, LIMITS, threading.Event())
+    tracemalloc.start()
     try:
-        session.connect()
+        session._connections[9559] = Connection(Pieces([*pieces, sent]), NAO, endless("connecting"))
         session.call("ALSystem", "systemVersion", limit_s=1.0)
         session.call("ALMemory", "raiseEvent", "TouchGesture/Gesture", "pat", limit_s=1.0)
     except (RobotLost, RobotRefused):
         pass
     finally:
+        assert tracemalloc.get_traced_memory()[1] < MOST_MEMORY_BYTES
+        tracemalloc.stop()
         session.close()
-        serving.join()
-    assert time.monotonic() - started_s < 2 * AT_ONCE_S

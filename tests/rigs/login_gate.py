@@ -10,10 +10,9 @@ import ssl
 import struct
 import threading
 from contextlib import suppress
+from typing import NamedTuple
 
 import trustme
-
-from touchd.drivers.robot.login import Login
 
 log = logging.getLogger(__name__)
 
@@ -22,6 +21,13 @@ HEADER = struct.Struct("<IIIHBBIII")
 MAGIC = 0x42ADDE42
 TYPE_ERROR = 3
 MAX_FIRST_MESSAGE_BYTES = 64 * 1024
+
+
+class Login(NamedTuple):
+    """What a client must send."""
+
+    user: str
+    token: str
 
 
 class Gate:

@@ -7,11 +7,11 @@ import tempfile
 import time
 from pathlib import Path
 
+from rigs.login_gate import Login
 from rigs.robots import Robot, States, login_in, reach
 from rigs.wait import AT_ONCE_S
 
 from touchd.drivers.robot.link import RobotLink
-from touchd.drivers.robot.login import Login
 from touchd.drivers.robot.session import RobotSettings
 
 

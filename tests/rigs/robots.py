@@ -13,7 +13,7 @@ import msgspec
 import pytest
 import trustme
 from rigs.call_log import CallLog
-from rigs.login_gate import Gate
+from rigs.login_gate import Gate, Login
 from rigs.made_events import PREDICTION
 from rigs.sockets import free_port
 from rigs.stub_robot import StubRobot
@@ -22,9 +22,7 @@ from rigs.wait import SOON_S
 from touchd.daemon.path.events import timestamp
 from touchd.daemon.robot.sink import told_of
 from touchd.drivers.fakes.loopback_robot import LoopbackRobot
-from touchd.drivers.robot.acting import say
-from touchd.drivers.robot.link import RobotLink, Told
-from touchd.drivers.robot.login import Login
+from touchd.drivers.robot.link import LIMITS, Act, RobotLink, Told
 from touchd.drivers.robot.session import RobotLimits, RobotSettings
 
 HAS_QI = importlib.util.find_spec("qi") is not None
@@ -109,6 +107,10 @@ def message(
     return told_of(msgspec.structs.replace(PREDICTION, **values), number)
 
 
+def say(words: str) -> Act:
+    return Act("ALTextToSpeech", "say", (words,))
+
+
 def answer(link: RobotLink, gesture: str = "stroke", touch: int = 1) -> None:
     """Publish an answer, and have the robot say it."""
     link.put(message(gesture, touch))
@@ -122,12 +124,11 @@ def hears(robot: Robot, link: RobotLink, gesture: str = "pat") -> None:
 
 
 def login_in(folder: Path, login: Login = LOGIN) -> dict[str, Any]:
-    """Return the settings for a login, with the token in a file of a folder."""
+    """Return the settings for a login at whatever robot answers, with the token in a file of a folder."""
     token = folder / "token"
     # As an editor on Windows may save it.
     token.write_bytes(f"\ufeff{login.token}\r\n".encode())
-    token.chmod(0o600)
-    return {"user": login.user, "token_file": str(token)}
+    return {"user": login.user, "token_file": str(token), "trust_network": True}
 
 
 class States:
@@ -145,25 +146,22 @@ class States:
     def wait_for(self, *states: str, timeout_s: float = SOON_S) -> str:
         """Wait until exactly these states were reported; returns the reason of the last."""
         with self._changed:
-            assert self._changed.wait_for(lambda: self._names() == states, timeout_s), self.told
+            assert self._changed.wait_for(
+                lambda: [*states] == [state for state, _ in self.told], timeout_s
+            ), self.told
             return self.told[-1][1]
-
-    def _names(self) -> tuple[str, ...]:
-        return tuple(state for state, _ in self.told)
 
 
 @contextmanager
-def linked(robot: Robot | StubRobot, url: str = "", **settings: Any) -> Iterator[tuple[RobotLink, States]]:
+def linked(
+    robot: Robot | StubRobot, url: str = "", limits: RobotLimits = LIMITS, acts: bool = False, **settings: Any
+) -> Iterator[tuple[RobotLink, States]]:
     """A started link to a robot, and the states it reports; stopped at the end."""
     states = States()
-    limits, acts = settings.pop("limits", None), settings.pop("acts", False)
-    link = RobotLink(
-        RobotSettings(url=url or robot.url, **settings),
-        on_state=states,
-        open_session=robot.open_session if isinstance(robot, StubRobot) else None,
-        acts=acts,
-        limits=limits,
-    )
+    pads = {"pads": settings.pop("pads")} if "pads" in settings else {}
+    opened = robot.open_session if isinstance(robot, StubRobot) else None
+    reached = RobotSettings(url=url or robot.url, **settings)
+    link = RobotLink(reached, states, opened, acts=acts, limits=limits, **pads)
     link.start()
     try:
         yield link, states
