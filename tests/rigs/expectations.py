@@ -1,7 +1,7 @@
-"""The shipped recordings and their expected events; `rigs.rebuild` writes both."""
+"""The shipped recordings and their expected events, which `rigs.rebuild` writes."""
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from touchd.daemon.app.config import Settings
@@ -11,35 +11,16 @@ from touchd.daemon.playback.stream import DEMO_RECORDING as DEMO
 from touchd.daemon.playback.stream import play
 from touchd.drivers.recording import Stream, read_recordings, splice
 from touchd.model.classifier import Classifier
-from touchd.model.studies.simulated import DEMO_SCRIPT, DEMO_SEED
 
 FOLDER = Path(__file__).parents[1] / "recordings"
-GAP_S = 1.8
 OUTLINE: Mapping[type, tuple[str, ...]] = {
     TouchBegan: ("touch",),
     Prediction: ("touch", "stage", "gesture", "changed", "told", "degraded"),
     TouchEnded: ("touch", "gesture", "reason"),
 }
 
-Script = Sequence[tuple[str, float]]
-
-
-def _with_gaps(touches: Script) -> Script:
-    script = [("notouch", 2.5)]
-    for touch in touches:
-        script += [touch, ("notouch", GAP_S)]
-    return script
-
-
 GESTURES, LENGTHS = FOLDER / "gestures.csv.gz", FOLDER / "lengths.csv.gz"
-# Touches that end in each stage, and one in which a resting hand starts to pat.
-TOUCH_LENGTHS = [("stroke", 0.4), ("pat", 0.8), ("scratch", 1.2), ("tickle", 1.8), ("rub", 2.9)]
-TOUCH_GESTURES = [(gesture, 3.2) for gesture in ("constant", "tickle", "scratch", "rub", "stroke", "pat")]
-RECORDINGS: dict[Path, tuple[Script, int]] = {
-    DEMO: (DEMO_SCRIPT, DEMO_SEED),
-    GESTURES: (_with_gaps(TOUCH_GESTURES), 11),
-    LENGTHS: ([*_with_gaps(TOUCH_LENGTHS), ("constant", 3.6), ("pat", 4.0), ("notouch", GAP_S)], 12),
-}
+RECORDINGS = (DEMO, GESTURES, LENGTHS)
 
 
 def expectation_of(recording: Path) -> Path:

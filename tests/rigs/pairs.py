@@ -1,26 +1,27 @@
 """The streams and lines in tests/recordings, and what the daemon tells of each.
 
-A stream (.csv.gz) holds frames, as `touchd record` writes them; a line (.line.gz) holds bytes as they arrive.
+A stream (.csv.gz) holds frames, as `touchd record` writes them. A line (.line.gz) holds its title, the pad's
+format, and a row for the bytes that arrive together: the time in ms, and the bytes in hex.
 """
 
-import inspect
+import gzip
 import logging
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 
+import msgspec
 import numpy as np
 from rigs.expectations import FOLDER, RECORDINGS, outline
-from rigs.lines import LINES, read_line, write_line
-from rigs.streams import STREAMS, Sent
 
 from touchd.daemon.app.config import Settings
 from touchd.daemon.path.events import Event, SensorEvent
 from touchd.daemon.path.monitor import PadMonitor
 from touchd.daemon.path.pipeline import Clock, Pipeline
 from touchd.drivers.frame import CLOCK_MODULUS, Counts, Frame, SensorState
+from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.parser import FrameParser
-from touchd.drivers.recording import Recording, read_recordings, write_recordings
+from touchd.drivers.recording import read_recordings
 from touchd.model.classifier import Classifier
 
 LINE_SUFFIX = ".line.gz"
@@ -35,23 +36,24 @@ Told = list[dict[str, object]]
 
 def paths() -> list[Path]:
     """Return the streams and lines beside the shipped recordings: each a pad, a touch or a fault."""
-    return sorted({*FOLDER.glob("*.csv.gz"), *FOLDER.glob(f"*{LINE_SUFFIX}")} - RECORDINGS.keys())
+    return sorted({*FOLDER.glob("*.csv.gz"), *FOLDER.glob(f"*{LINE_SUFFIX}")} - {*RECORDINGS})
 
 
 def told_of(path: Path, classifier: Classifier) -> Told:
     """Return what the daemon tells: events, the pad's states, warnings, at a line's end what was refused."""
     if not path.name.endswith(LINE_SUFFIX):
         return Listener(classifier).hear_all(_arrivals(path))
-    described, pieces = read_line(path)
-    parser = FrameParser(described)
+    _, described, *pieces = gzip.decompress(path.read_bytes()).decode().splitlines()
+    parser = FrameParser(msgspec.json.decode(described.removeprefix("# format: "), type=PadFormat))
     listener = Listener(classifier, parser)
-    for at_ms, data in pieces:
-        if data is None:
+    for piece in pieces:
+        at_ms, _, data = piece.partition(",")
+        if data == "reopened":
             parser.reset()
-        else:
-            listener.hear_all(
-                [(at_ms / 1000, frame) for frame in parser.feed(data, at_ms / 1000)], ends=False
-            )
+            continue
+        at_s = int(at_ms) / 1000
+        frames = parser.feed(bytes.fromhex(data), at_s)
+        listener.hear_all([(at_s, frame) for frame in frames], ends=False)
     told = listener.hear_all(())
     refused = {
         name: count for name, count in asdict(parser.counts).items() if count and name != "restarted_at"
@@ -110,33 +112,6 @@ class Listener:
         if isinstance(event, SensorEvent):
             self.told.append({"type": "sensor", "state": event.state, "reason": event.reason})
         self.told.extend(outline([event]))
-
-
-def make(name: str) -> None:
-    """Write a made-up stream or line, unless the file holds the same already."""
-    if name in LINES:
-        path, line = FOLDER / f"{name}{LINE_SUFFIX}", LINES[name]()
-        if not path.exists() or read_line(path) != line:
-            write_line(path, line, inspect.getdoc(LINES[name]) or name)
-        return
-    path, made = FOLDER / f"{name}.csv.gz", STREAMS[name]()
-    if not holds(path, made):
-        path.unlink(missing_ok=True)
-        source = {
-            "title": inspect.getdoc(STREAMS[name]) or name,
-            "source": "SIMULATED by tests/rigs/streams.py; no person's data",
-            "licence": "Apache-2.0",
-        }
-        write_recordings(path, [Recording("simulated", "none", "none", "stream", *made, "live")], source)
-        path.chmod(0o644)
-
-
-def holds(path: Path, made: Sent) -> bool:
-    """Whether a file holds these frames already: packed again, it would have other bytes."""
-    if not path.exists():
-        return False
-    clock_ms, counts = zip(*_frames(path), strict=True)
-    return np.array_equal(np.stack(counts), made.counts) and list(clock_ms) == made.sensor_ms.tolist()
 
 
 def _frames(path: Path) -> Iterator[tuple[int, Counts]]:
