@@ -30,6 +30,8 @@ from touchd.model.training.weights import fold_path
 
 SHOTS = (1, 2, 4)
 """How many recordings of each gesture to adapt to. Accuracy is measured on those that no draw uses."""
+SHOWN = (1, 4)
+"""Those on the page."""
 DRAWS = 2
 FRAMES = 144
 PIECE_FRAMES = 189
@@ -170,7 +172,7 @@ def tables(measured: Measured) -> dict[str, str]:
     """Return the page's tables by their places."""
     rows = []
     for group, letter in (("third study", "S"), ("second study", "R"), ("HAART", "P")):
-        for each in SHOTS:
+        for each in SHOWN:
             cell = [t for t in measured.trials if t.participant.startswith(letter) and t.each == each]
             interval = mean_interval(_by_person(cell, lambda t: t.after - t.before))
             assert interval is not None
