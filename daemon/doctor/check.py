@@ -1,11 +1,21 @@
-"""The result of one check."""
+"""What the doctor works with: a sample of what a pad sends, and the result of a check."""
 
-from collections.abc import Mapping
+import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from touchd.drivers.errors import one_line
+import numpy as np
 
+from touchd.daemon.doctor.port import advice_for
+from touchd.drivers.errors import one_line
+from touchd.drivers.frame import Counts, Frame
+from touchd.drivers.pad.parser import FrameParser
+from touchd.drivers.pad.port import Line, SensorError, read_waiting
+from touchd.drivers.search.listen import MOST_BYTES, Chunk
+
+# Opening the port restarts an Arduino, whose boot loader takes two seconds.
+START_S = 4.0
 Verdict = Literal["ok", "warning", "to do", "not checked"]
 
 
@@ -27,3 +37,66 @@ class Check:
     def __post_init__(self) -> None:
         # It may contain a robot's answer, which may span lines.
         object.__setattr__(self, "found", one_line(self.found))
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """What a pad sent in a while.
+
+    frames: in order. damaged: frames refused as damaged after the first intact one. chunks: the bytes,
+    the latest megabyte. ended_s: when listening ended, `time.monotonic()`. broke_off: why the port could not
+    be read on, "" if it could; advice: what to do then. has_clock: whether the pad's clock dated the frames.
+    clipped: the share of frames with values above full scale.
+    """
+
+    frames: tuple[Frame, ...]
+    damaged: int
+    chunks: tuple[Chunk, ...]
+    ended_s: float
+    broke_off: str
+    has_clock: bool
+    advice: str = ""
+    clipped: float = 0.0
+
+    def counts(self) -> Counts:
+        """Return the pressure of all frames, (T, 8, 8) uint16."""
+        return np.stack([frame.pressure for frame in self.frames])
+
+
+def listen(
+    opened: Line,
+    parser: FrameParser,
+    seconds: float,
+    start_s: float = START_S,
+    enough: Callable[[Frame], bool] = lambda frame: False,
+) -> Sample:
+    """Listen for `seconds` after the first frame; without one, after the first bytes.
+
+    start_s: how long the first bytes may take. enough: ends listening at a frame if true.
+    """
+    frames: list[Frame] = []
+    chunks: list[Chunk] = []
+    size, broke_off, advice, damaged_before, is_enough = 0, "", "", 0, False
+    now_s = time.monotonic()
+    until_s = now_s + start_s
+    while not is_enough and now_s < until_s:
+        try:
+            data = read_waiting(opened, parser)
+        except SensorError as error:
+            broke_off, advice = str(error), advice_for(str(opened.port), error) or "try another cable"
+            break
+        now_s = time.monotonic()
+        arrived = parser.feed(data, now_s)
+        if (data and not chunks) or (arrived and not frames):
+            until_s, damaged_before = now_s + seconds, parser.counts.bad
+        frames += arrived
+        is_enough = any(map(enough, arrived))
+        chunks += [Chunk(data, now_s)] if data else []
+        size += len(data)
+        while size > MOST_BYTES:
+            size -= len(chunks.pop(0).data)
+    damaged = parser.counts.bad - damaged_before if frames else 0
+    clipped = parser.counts.clipped / max(parser.counts.frames, 1)
+    return Sample(
+        tuple(frames), damaged, tuple(chunks), now_s, broke_off, parser.dates_frames, advice, clipped
+    )

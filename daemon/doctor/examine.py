@@ -6,10 +6,9 @@ import numpy as np
 from rich.console import Console
 
 from touchd.daemon.app.config import Settings
-from touchd.daemon.doctor.check import Check
+from touchd.daemon.doctor.check import Check, Sample, listen
 from touchd.daemon.doctor.hand import find_with_a_hand, find_without_asking
 from touchd.daemon.doctor.line import check_damage, check_opening, check_protocol, check_rate
-from touchd.daemon.doctor.listening import Sample, listen
 from touchd.daemon.doctor.machine import check_model, check_robot, check_service
 from touchd.daemon.doctor.values import (
     check_noise,

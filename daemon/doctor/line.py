@@ -7,8 +7,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from touchd.daemon.app.config import SensorSettings
-from touchd.daemon.doctor.check import Check, Verdict
-from touchd.daemon.doctor.listening import START_S, Sample, listen
+from touchd.daemon.doctor.check import START_S, Check, Sample, Verdict, listen
 from touchd.daemon.doctor.machine import service_runs
 from touchd.daemon.doctor.port import advice_for
 from touchd.daemon.doctor.values import MANY_SHARE

@@ -45,16 +45,22 @@ def lasting_name(port: str, by_id: Path = BY_ID, by_path: Path = BY_PATH, tty: P
     if is_chosen or not os.path.exists(port):
         return LastingName(port, "as given")
     device = os.path.realpath(port)
-    boards = {entry.name: board for entry in tty.glob("*") if (board := _board_of(entry)) is not None}
-    own = boards.get(Path(device).name)
-    has_serial = own is not None and own.serial != ""
-    is_alone = not any(own and board[1:] == own[1:] and board != own for board in boards.values())
-    if has_serial and is_alone and (name := _link_to(device, by_id)):
+    why = _why_not_by_number(Path(device).name, tty)
+    if not why and (name := _link_to(device, by_id)):
         return LastingName(name, "it stays with this board, by its serial number")
     if name := _link_to(device, by_path):
-        why = "another board has the same serial number" if has_serial else "the board has no serial number"
-        return LastingName(name, f"it stays with this socket; {why}")
+        return LastingName(name, f"it stays with this socket; {why or 'it has no name by its number'}")
     return LastingName(port, "the only name that it has")
+
+
+def _why_not_by_number(name: str, tty: Path) -> str:
+    """Say why a port's board cannot be told by its serial number; "" if it can."""
+    boards = {entry.name: board for entry in tty.glob("*") if (board := _board_of(entry)) is not None}
+    own = boards.get(name)
+    if own is None or not own.serial:
+        return "the board has no serial number"
+    is_alike = any(board[1:] == own[1:] and board != own for board in boards.values())
+    return "another board has the same serial number" if is_alike else ""
 
 
 def why_no_port(usb: Path = USB) -> str:

@@ -7,8 +7,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from touchd.daemon.app.config import Settings
-from touchd.daemon.doctor.check import Check, Verdict
-from touchd.daemon.doctor.listening import Sample
+from touchd.daemon.doctor.check import Check, Sample, Verdict
 from touchd.daemon.path.monitor import FAULTS, STILL_S, TaxelFaults, places
 from touchd.daemon.path.tracker.baseline import MAX_DEVIATION_COUNTS
 from touchd.daemon.path.tracker.tracker import Onset, TouchTracker

@@ -20,9 +20,8 @@ from rigs.wait import once_in_three
 
 from touchd.daemon.app.config import SensorSettings
 from touchd.daemon.doctor import line
-from touchd.daemon.doctor.check import Check
+from touchd.daemon.doctor.check import Check, Sample, listen
 from touchd.daemon.doctor.line import check_damage, check_opening, check_protocol, check_rate
-from touchd.daemon.doctor.listening import Sample, listen
 from touchd.drivers.fakes.encode import encode_frame
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import Frame

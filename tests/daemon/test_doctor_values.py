@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rigs.doctor_rig import SETTINGS, pad_of, resting, sample
 
-from touchd.daemon.doctor.listening import listen
+from touchd.daemon.doctor.check import listen
 from touchd.daemon.doctor.values import (
     check_noise,
     check_orientation,

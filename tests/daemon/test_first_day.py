@@ -28,8 +28,8 @@ from touchd.daemon.app.config import (
 )
 from touchd.daemon.app.parts import check_pad
 from touchd.daemon.commands.settings import find_settings
+from touchd.daemon.doctor.check import Sample
 from touchd.daemon.doctor.line import check_rate
-from touchd.daemon.doctor.listening import Sample
 from touchd.daemon.path.events import encode
 from touchd.daemon.sinks.journal import JournalError, open_journal
 from touchd.drivers.frame import Frame

@@ -14,8 +14,7 @@ from rigs.sensor_rig import Encode, noise
 from rigs.wire import read_too_fast
 
 from touchd.daemon.app.config import Settings
-from touchd.daemon.doctor.check import Check
-from touchd.daemon.doctor.listening import Sample
+from touchd.daemon.doctor.check import Check, Sample
 from touchd.drivers.fakes.encode import encode_frame
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import Counts, Frame
