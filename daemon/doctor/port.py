@@ -109,10 +109,7 @@ def advice_for(port: str, error: SensorError) -> str:
         return f"end the other program ({programs_at(port) or f'fuser {port} shows which'})"
     if error.kind == "denied":
         return group_of_the_next_login() or _how_to_get_permission(port, error.number)
-    if error.number == errno.ENXIO:
-        advice = "plug the pad in; in a container, give it the folder /dev/serial/by-id and name a port there"
-    else:
-        advice = "plug the pad in, or name its port in sensor.port or with --port"
+    advice = "plug the pad in, or name its port in sensor.port or with --port"
     if not other_ports(port):
         advice += "; this machine has no other USB serial port"
     return "; ".join(filter(None, (advice, why_no_port())))

@@ -23,7 +23,7 @@ DEV = Path("/dev")
 FAULTS = {
     errno.ENOENT: ("missing", "is not there"),
     errno.ENODEV: ("missing", "is not there"),
-    errno.ENXIO: ("missing", "has no device any more, only its node is left"),
+    errno.ENXIO: ("missing", "is not there"),
     errno.EIO: ("missing", "went away: unplugged or switched off?"),
     errno.ECONNRESET: ("missing", "closed the connection"),
     errno.ECONNREFUSED: ("missing", "refuses the connection"),

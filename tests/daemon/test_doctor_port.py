@@ -127,7 +127,6 @@ def test_without_a_view_of_other_programs_fuser_is_advised(monkeypatch: pytest.M
     ("port", "kind", "number", "advice"),
     [
         ("/dev/ttyACM9", "missing", errno.ENOENT, "plug the pad in, or name its port in sensor.port or with"),
-        ("/dev/ttyACM9", "missing", errno.ENXIO, "in a container, give it the folder /dev/serial/by-id and"),
         ("/dev/ttyACM9", "missing", errno.ENOENT, "this machine has no other USB serial port"),
         (
             "tcp://pad:4000",
