@@ -158,10 +158,6 @@ class View:
         with self._lock:
             self._note, self._is_note_bad = text, is_bad
 
-    def log(self, record: logging.LogRecord) -> None:
-        """Show a line of the log, since on standard error it would corrupt the view."""
-        self.note(record.getMessage(), record.levelno >= logging.WARNING)
-
     def doing(self, text: str) -> None:
         self._doing = text
 
@@ -409,7 +405,7 @@ def _fitted(lines: Sequence[Text], width: int, height: int) -> list[Text]:
 
 
 class ViewLog(logging.Handler):
-    """Shows in a view the log records that the gate lets through."""
+    """Shows in a view the log records that the gate lets through; on standard error they would corrupt it."""
 
     def __init__(self, view: View) -> None:
         super().__init__()
@@ -417,4 +413,4 @@ class ViewLog(logging.Handler):
         self._view = view
 
     def emit(self, record: logging.LogRecord) -> None:
-        self._view.log(record)
+        self._view.note(record.getMessage(), record.levelno >= logging.WARNING)

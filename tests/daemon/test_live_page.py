@@ -156,10 +156,7 @@ def test_the_page_loads_without_errors_or_foreign_requests(played: WatchedPage) 
     own = played.url.removeprefix("http://")
     assert f"ws://{own}/stream" in played.asked_for
     assert {re.sub(r"^\w+://([^/]*)/.*", r"\1", url) for url in played.asked_for} == {own}
-
-
-def test_the_pad_moves_with_the_recording(played: WatchedPage) -> None:
-    # The frame rate depends on the machine's load; a still pad would give a single picture.
+    # A still pad would give a single picture.
     assert played.pictures > 1
 
 
@@ -235,20 +232,6 @@ def test_a_screen_reader_gets_each_answer_without_a_flood(played: WatchedPage) -
     assert played.run("return document.getElementById('announcement').ariaLive") == "polite"
 
 
-def test_a_screen_reader_finds_landmarks_and_regions(played: WatchedPage) -> None:
-    tree = played.chrome.execute_cdp_cmd("Accessibility.getFullAXTree", {})["nodes"]
-    found = {
-        (node.get("role", {}).get("value"), node.get("name", {}).get("value"))
-        for node in tree
-        if not node.get("ignored")
-    }
-    roles = {role for role, _ in found}
-    assert {"banner", "main", "heading", "image", "status", "list"} <= roles
-    regions = {name for role, name in found if role == "region"}
-    assert {"The pad", "What was said, and when", "Last touches"} <= regions
-    assert any(str(name).startswith("Pressure on the pad") for role, name in found if role == "image")
-
-
 def test_the_keyboard_reaches_every_control(played: WatchedPage) -> None:
     def press(key: str) -> str:
         ActionChains(played.chrome).send_keys(key).perform()
@@ -297,22 +280,6 @@ def test_text_has_contrast_in_light_and_dark(played: WatchedPage, scheme: str) -
     assert brightness > 200 if scheme == "light" else brightness < 50
     contrasts = dict(played.run(CONTRASTS, READ))
     assert {name: round(ratio, 1) for name, ratio in contrasts.items() if ratio < 4.5} == {}
-
-
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_pressure_is_readable_without_colour_vision(played: WatchedPage, scheme: str) -> None:
-    prefer(played.chrome, color_scheme=scheme)
-
-    def steps() -> NDArray[np.float64]:
-        """Return how much more each colour of the scale contrasts with the paper than the one before."""
-        scale = "document.getElementById('scale').getContext('2d').getImageData(0, 0, 256, 1).data"
-        red, green, blue, _ = np.reshape(played.run(f"return [...{scale}]"), (256, 4)).T.astype(float)
-        brighter = np.diff(0.2126 * red + 0.7152 * green + 0.0722 * blue)
-        return np.asarray(brighter if scheme == "dark" else -brighter)
-
-    wait_for(lambda: steps().sum() > 0)
-    assert (steps() > -1).all()
-    assert steps().sum() > 180
 
 
 def test_reduced_motion_is_respected(played: WatchedPage) -> None:
