@@ -45,14 +45,10 @@ class Scene(NamedTuple):
 
 
 class Memory:
-    """The last touches of a pad with their answers, the last state of pad and robot, recent frames; bounded.
-
-    frames: how many have arrived.
-    """
+    """A pad's last touches with their answers, recent frames, the last state of pad and robot; bounded."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
-        self.frames = 0
         self._sensor: SensorEvent | None = None
         self._robot: RobotEvent | None = None
         self._action: RobotAction | None = None
@@ -65,7 +61,6 @@ class Memory:
 
     def put_frame(self, frame: Frame) -> None:
         """Remember a frame; the only method for another thread."""
-        self.frames += 1
         self._recent.append(frame)
         if len(self._traced) < TRACE_FRAMES:
             self._traced.append(frame)
@@ -93,6 +88,13 @@ class Memory:
                     self._reported.append(event.touch)
                 self._touches[-1].add(event)
                 del self._touches[-1].predictions[:-PREDICTIONS]
+
+    @property
+    def rate_hz(self) -> float:
+        """Recent frames per second, 0 without any."""
+        recent = self._recent.copy()
+        span_s = recent[-1].host_s - recent[0].host_s if recent else 0.0
+        return round((len(recent) - 1) / span_s, 1) if span_s > 0.0 else 0.0
 
     def find(self, touch: int) -> TouchBegan | None:
         """Return the beginning of a touch that the page shows; None if it shows no such touch."""

@@ -8,8 +8,6 @@ import asyncio
 import logging
 import socket
 import threading
-import time
-from collections import deque
 from collections.abc import Mapping
 from contextlib import suppress
 from typing import TYPE_CHECKING, Protocol, TypeAlias
@@ -37,8 +35,6 @@ log = logging.getLogger(__name__)
 # Ten seconds of frames; they wait only when the machine is overloaded.
 CAPACITY = 540
 STATUS_EVERY_S = 0.5
-# Four seconds, so that one late frame does not move the rate.
-RATE_SAMPLES = 9
 # Connections of any kind, including those for files and idle ones.
 MOST_CONNECTIONS = 64
 MOST_HEARD_BYTES = 64
@@ -209,19 +205,12 @@ class LiveServer:
                 return refused
 
     async def _tell_status(self) -> None:
-        samples = deque([(time.monotonic(), self._frames())], maxlen=RATE_SAMPLES)
         while True:
             await asyncio.sleep(STATUS_EVERY_S)
             self._take()
-            samples.append((time.monotonic(), self._frames()))
-            (first_s, first), (last_s, last) = samples[0], samples[-1]
-            for pad in self._pads:
-                rate_hz = round((last[pad] - first[pad]) / (last_s - first_s), 1)
-                status = Status(rate_hz=rate_hz, dropped=self._frames_dropped, pad=pad)
+            for name, pad in self._pads.items():
+                status = Status(rate_hz=pad.rate_hz, dropped=self._frames_dropped, pad=name)
                 self._viewers.show(encode_message(status))
-
-    def _frames(self) -> dict[str, int]:
-        return {name: pad.frames for name, pad in self._pads.items()}
 
     def _take(self) -> None:
         """Show everything queued."""

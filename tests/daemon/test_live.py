@@ -88,8 +88,9 @@ def test_an_event_is_shown_even_without_a_frame(served: Served, viewer: ClientCo
 
 
 def test_rate_and_drops_are_sent_repeatedly(served: Served, viewer: ClientConnection) -> None:
-    await_message(viewer, "status")
-    frames_among(viewer, served.put_frame())
+    assert await_message(viewer, "status")["rate_hz"] == 0.0
+    for _ in range(2):
+        frames_among(viewer, served.put_frame())
     status = await_message(viewer, "status")
     assert status["rate_hz"] > 0
     assert status["dropped"] == 0

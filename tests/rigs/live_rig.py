@@ -2,6 +2,7 @@
 
 import http.client
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -52,7 +53,7 @@ class Served:
         self._frames += 1
         if counts is None:
             counts = np.full((8, 8), self._frames % 1024, np.uint16)
-        frame = Frame(18 * self._frames, 0.0, counts)
+        frame = Frame(18 * self._frames, time.monotonic(), counts)
         self.sink.put_frame(frame, 0, pad)
         return encode_frame(frame)
 
