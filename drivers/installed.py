@@ -9,7 +9,6 @@ import shutil
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
-from importlib import metadata
 from pathlib import Path
 
 PROGRAM = "touchd"
@@ -82,6 +81,9 @@ def _with_torch_alone(install: Sequence[str], wanted: Sequence[str], into: Seque
 
 def _requirements(extra: str) -> Sequence[str]:
     """Return what an extra of touchd needs, as for pip."""
+    # It loads a parser of mail, 1.2 MB.
+    from importlib import metadata
+
     wanted = [
         requirement.partition(";")[0].strip()
         for requirement in metadata.requires("touchd") or ()
@@ -92,6 +94,8 @@ def _requirements(extra: str) -> Sequence[str]:
 
 def _source() -> str:
     """Return where touchd came from, as in " @ file:///home/me/touchd"; "" for a package index."""
+    from importlib import metadata
+
     with suppress(ValueError, KeyError):
         source = json.loads(metadata.distribution("touchd").read_text("direct_url.json") or "")
         return f" @ {'git+' if 'vcs_info' in source else ''}{source['url']}"

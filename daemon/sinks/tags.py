@@ -1,12 +1,12 @@
 """Tags: what the person who runs trials says of them, as in participant=P07; they stand in every event."""
 
 import errno
-import hashlib
 import logging
 import os
 import re
 import socket
 import threading
+import zlib
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from glob import glob
@@ -99,7 +99,7 @@ class TagServer:
     def __init__(self, events: EventFanout, config: Path | None) -> None:
         self._events = events
         self._config = str(config.resolve()) if config is not None else ""
-        digest = hashlib.sha256(self._config.encode()).hexdigest()[:16]
+        digest = f"{zlib.crc32(self._config.encode()):08x}"
         self._path = own_folder() / f"{digest}.socket"
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._thread = threading.Thread(target=self._serve, name="touchd-tags", daemon=True)

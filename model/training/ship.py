@@ -1,6 +1,5 @@
 """From a recipe to the shipped files: train what is missing, calibrate, export."""
 
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
@@ -16,7 +15,7 @@ from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH, OTHER
 from touchd.drivers.recording import Recording
 from touchd.model.adapt.backbone import crops, split
 from touchd.model.adapt.remembered import Remembered
-from touchd.model.classifier import SHIPPED_MODEL, ModelMetadata, digest_file
+from touchd.model.classifier import SHIPPED_MODEL, ModelMetadata, digest_file, digest_of
 from touchd.model.settings import LENGTHS, MAX_LENGTH
 from touchd.model.training import calibrate, checkpoint, haart, unknown
 from touchd.model.training.checkpoint import Checkpoint
@@ -199,7 +198,7 @@ def _export_beside(saved: Checkpoint, folders: Folders, path: Path) -> list[Path
     beside, remembered, digest = path.with_suffix(".pt"), path.with_suffix(".npz"), digest_file(path)
     checkpoint.save(replace(saved, training={}), beside)
     save_remembered(remember(saved, folders), remembered)
-    digest.write_text(f"{hashlib.sha256(path.read_bytes()).hexdigest()}  {path.name}\n")
+    digest.write_text(f"{digest_of(path.read_bytes())}\n")
     return [beside, remembered, digest]
 
 

@@ -124,7 +124,7 @@ def test_the_shipped_file_with_flipped_bits_is_refused(tmp_path: Path) -> None:
         flipped = bytearray(whole)
         flipped[place] ^= 1 << place % 8
         path.write_bytes(flipped)
-        assert "damaged, its SHA-256 is not that in touchd.onnx.sha256" in refusal(path)
+        assert "damaged, its CRC-32 is not that in touchd.onnx.crc32" in refusal(path)
     path.write_bytes(whole)
     Classifier.load(path)
 
