@@ -35,6 +35,7 @@ from touchd.drivers.robot.session import RobotSettings
 
 MAX_BYTES = 64 * 1024
 MAX_PADS = 16
+PAD_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}")
 DEFAULT_PORT = "/dev/touchd-pad"
 
 FABRIC = "fabric-grid"
@@ -60,27 +61,18 @@ def config_errors(prefix: str = "") -> Iterator[None]:
         raise ConfigError(f"{prefix}the configuration cannot be used: {error}; check its values") from error
 
 
-def _check_pads(ports: Mapping[str, str], *, needs_ascii: bool, for_ros: bool) -> None:
-    """Raise ValueError if pads cannot be told apart. ports: by name. needs_ascii: for other systems."""
+def _check_pads(ports: Mapping[str, str]) -> None:
+    """Raise ValueError if pads cannot be told apart, by us or by ROS and Home Assistant. ports: by name."""
     if len(ports) > MAX_PADS:
         raise ValueError(f"sensors: {len(ports)} pads, {MAX_PADS} at most; run another touchd")
-    for name in ports:
-        if not re.fullmatch(r"[A-Za-z]\w{0,31}", name):
-            raise ValueError(f"sensors: invalid pad name {name!r}; use one word such as left_arm")
-        if not name.isascii() and needs_ascii:
-            raise ValueError(f"sensors: {name}: ROS and Home Assistant take only a to z, 0 to 9 and _")
-        if "__" in name and for_ros:
-            raise ValueError(f"sensors: {name}: ROS takes no __ in the name of a topic; use one _")
     named: dict[str, str] = {}
-    for port in ports.values():
-        # A port of UDP is one, at whichever of this computer's addresses.
-        address = re.sub(r"^udp://.*:", "udp://:", port.lower())
-        device = address if "://" in address else os.path.realpath(port)
-        other = named.get(device)
-        if other is not None:
-            same = f", the same device as {other}," if other != port else ""
-            raise ValueError(f"sensors: {port}{same} is the port of more than one pad; give each its own")
-        named[device] = port
+    for name, port in ports.items():
+        if not PAD_NAME.fullmatch(name) or "__" in name:
+            raise ValueError(f"sensors: invalid pad name {name!r}; use a to z, 0 to 9 and _, as in left_arm")
+        device = port.lower() if "://" in port else os.path.realpath(port)
+        other = named.setdefault(device, name)
+        if other != name:
+            raise ValueError(f"sensors: {other} and {name} have the same port, {port}; give each its own")
 
 
 class SensorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -185,10 +177,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         if self.sensors and self.sensor != SensorSettings():
             raise ValueError("sensor and sensors are both set; keep one")
         if self.sensors:
-            for_ros = self.ros2 is not None or self.rosbridge is not None
-            needs_ascii = for_ros or (self.mqtt is not None and self.mqtt.discovery is not None)
-            ports = {name: pad.port for name, pad in self.sensors.items()}
-            _check_pads(ports, needs_ascii=needs_ascii, for_ros=for_ros)
+            _check_pads({name: pad.port for name, pad in self.sensors.items()})
 
     @property
     def pads(self) -> dict[str, "Settings"]:

@@ -199,13 +199,10 @@ def test_the_robot_gets_each_pads_events_under_its_name() -> None:
             "sensors: 17 pads, 16 at most; run another touchd",
         ),
         ("sensors: {'a b': {}}", "invalid pad name 'a b'"),
-        ("ros2: {}\nsensors: {a__b: {}}", "a__b: ROS takes no __"),
-        ("rosbridge: {}\nsensors: {a__b: {}}", "a__b: ROS takes no __"),
-        ("sensors: {a: {}, b: {}}", "/dev/touchd-pad is the port of more than one pad"),
-        (
-            "sensors: {a: {port: 'udp://0.0.0.0:4000'}, b: {port: 'udp://127.0.0.1:4000'}}",
-            "udp://127.0.0.1:4000, the same device as udp://0.0.0.0:4000, is the port of more than one pad",
-        ),
+        ("sensors: {a__b: {}}", "invalid pad name 'a__b'"),
+        ("sensors: {größe: {}}", "invalid pad name 'größe'"),
+        ("sensors: {a: {}, b: {}}", "a and b have the same port, /dev/touchd-pad; give each its own"),
+        ("sensors: {a: {port: 'tcp://Pad:1'}, b: {port: 'tcp://pad:1'}}", "a and b have the same port"),
         ("sensors: {a: {}}\nsensor: {baud: 9600}", "sensor and sensors are both set; keep one"),
     ],
 )
@@ -222,14 +219,7 @@ def test_two_names_of_one_device_are_refused_as_the_file_is_read(tmp_path: Path)
     link.symlink_to(device)
     path = tmp_path / "touchd.yaml"
     path.write_text(f"sensors: {{a: {{port: {device}}}, b: {{port: {link}}}}}")
-    with pytest.raises(
-        ConfigError, match=f"{link}, the same device as {device}, is the port of more than one"
-    ):
-        load(path)
-    path.write_text(
-        f"sensors: {{a: {{port: 'tcp://Pad:1'}}, b: {{port: 'tcp://pad:1'}}, c: {{port: {link}}}}}"
-    )
-    with pytest.raises(ConfigError, match="tcp://pad:1, the same device as tcp://Pad:1,"):
+    with pytest.raises(ConfigError, match=f"a and b have the same port, {link}"):
         load(path)
 
 
