@@ -20,16 +20,11 @@ from touchd.daemon.playback.stream import with_quiet
 from touchd.drivers.recording import (
     Recording,
     Stream,
-    ideal_clock_ms,
     read_recordings,
     realign,
-    splice,
 )
 from touchd.drivers.robot.session import RobotSettings
 from touchd.model.classifier import Classifier
-from touchd.model.studies.sessions.plan import SessionSettings, sessions
-from touchd.model.studies.sessions.score import judge, score
-from touchd.model.studies.simulated import simulate
 
 # Faster than real time: answers depend on the sensor's clock, not on the arrival.
 SPEED = 100.0
@@ -74,18 +69,6 @@ def test_shipped_recordings_give_the_expected_events(
     assert outline(run(stream_of(recording))) == expected(recording)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("noise", [0.0, 1.5])
-def test_touches_of_a_session_stay_apart_through_a_port(
-    run: Callable[..., list[Event]], noise: float
-) -> None:
-    hand = simulate([("notouch", 7.0), ("constant", 4.0), ("pat", 4.0), ("scratch", 4.0)], seed=5)
-    session = next(sessions(hand, SessionSettings(seconds=3.0, noise=noise)))
-    events = run(Stream(session.counts, ideal_clock_ms(len(session.counts)), ()))
-    result = score([judge(session, events)])
-    assert (result.n, result.missed, result.merged, result.split, result.false) == (3, 0, 0, 0, 0)
-
-
 @pytest.mark.parametrize(
     "line",
     [{"protocol": "csv"}, {"faults": Faults(chunk_bytes=40, garbage_every=31)}],
@@ -118,16 +101,6 @@ def test_the_robot_gets_exactly_the_told_answers(run: Callable[..., list[Event]]
         assert told
         robot.calls.wait_for_raise("TouchGesture/Status", "down")
         assert robot.calls.raised("TouchGesture/Gesture") == told
-
-
-@pytest.mark.slow
-def test_without_a_touch_the_robot_is_told_nothing(run: Callable[..., list[Event]]) -> None:
-    with Robot() as robot:
-        at_rest = splice(simulate([("notouch", 60.0)], seed=5))
-        emitted = run(at_rest, robot=RobotSettings(url=robot.url))
-        robot.calls.wait_for_raise("TouchGesture/Status", "down")
-        assert robot.calls.raised("TouchGesture/Gesture") == []
-    assert not [event for event in emitted if isinstance(event, TouchBegan | Prediction)]
 
 
 def four_seconds_of(recording: Recording) -> Recording:

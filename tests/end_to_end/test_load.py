@@ -69,15 +69,6 @@ def test_no_frame_is_lost_on_busy_cores(play: Play) -> None:
     sys.stdout.write(f"1 times: {processed} frames, {dropped} dropped, slowest answer {slowest_ms:.1f} ms\n")
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("busy")
-@pytest.mark.parametrize("speed", [10.0, 50.0])
-def test_frames_dropped_beyond_the_pads_rate_are_reported(play: Play, speed: float) -> None:
-    _, processed, dropped = play(speed)
-    assert processed + dropped == len(stream_of(LENGTHS).counts)
-    sys.stdout.write(f"{speed:g} times: {processed} frames, {dropped} dropped\n")
-
-
 HELD_UP_TURNS, TURNS, SPEED = 8, 16, 10.0
 
 

@@ -3,6 +3,7 @@
 import hashlib
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -126,45 +127,58 @@ def test_the_held_out_participants_score_as_published(scores: Scores) -> None:
     assert again.accuracy == pytest.approx(stored(scores.left_out.realigned, 144).accuracy, abs=TOLERANCE)
 
 
-@needs_second_study
-@pytest.mark.slow
-@pytest.mark.timeout(300)
-@pytest.mark.parametrize("person", ["R14", None])
-def test_the_second_study_scores_as_published(scores: Scores, person: str | None, tmp_path: Path) -> None:
+Split = list[tuple[Classifier, list[Recording]]]
+# What the scores of the networks held out, and of the one that never met the study, are called.
+SECOND, THIRD = ("second_study", "cross_study"), ("third_study", "new_pad")
+
+
+def of_second_study(person: str | None, folder: Path) -> tuple[Split, Split]:
+    """Return its networks held out, and the network that never met the study."""
     if person:
-        stored_recordings = one_person(second_study.FILES[0], person, tmp_path, SECOND_STUDY)
+        made = one_person(second_study.FILES[0], person, folder, SECOND_STUDY)
     else:
-        stored_recordings = second_study.read(Path(str(SECOND_STUDY)))
-    recordings = second_study.scored(stored_recordings)
-    left_out = evaluate.score(left_out_split(SHIPPED_MODEL.parent, recordings), 144)
-    unseen = evaluate.score([(Classifier.load(WIDE_MODEL), recordings)], 144)
-    for again, evaluated in ((left_out, scores.second_study), (unseen, scores.cross_study)):
-        published = stored(evaluated.realigned, 144)
-        assert of(person, again) == pytest.approx(of(person, published), abs=tolerance(person))
-        if person is None:
-            assert again.windows == published.windows
-            assert again.per_condition == pytest.approx(published.per_condition, abs=5 * TOLERANCE)
+        made = second_study.read(Path(str(SECOND_STUDY)))
+    recordings = second_study.scored(made)
+    return left_out_split(SHIPPED_MODEL.parent, recordings), [(Classifier.load(WIDE_MODEL), recordings)]
 
 
-@needs_third_study
+def of_third_study(person: str | None, folder: Path) -> tuple[Split, Split]:
+    if person:
+        recordings_of(third_study.FILE, f"[^,]*,{person},", folder, THIRD_STUDY)
+    recordings = third_study.read(folder if person else Path(str(THIRD_STUDY)))
+    assert {each.participant for each in recordings} == ({person} if person else set(THIRD_STUDY_PEOPLE))
+    return left_out_split(SHIPPED_MODEL.parent, recordings), [(Classifier.load(FABRIC_MODEL), recordings)]
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(300)
-@pytest.mark.parametrize("person", ["S10", None])
-def test_the_third_study_scores_as_published(scores: Scores, person: str | None, tmp_path: Path) -> None:
-    folder = Path(str(THIRD_STUDY))
-    if person:
-        recordings_of(third_study.FILE, f"[^,]*,{person},", tmp_path, THIRD_STUDY)
-        folder = tmp_path
-    recordings = third_study.read(folder)
-    assert {each.participant for each in recordings} == ({person} if person else set(THIRD_STUDY_PEOPLE))
-    splits = (
-        (left_out_split(SHIPPED_MODEL.parent, recordings), scores.third_study),
-        ([(Classifier.load(FABRIC_MODEL), recordings)], scores.new_pad),
-    )
-    for split, evaluated in splits:
-        again = evaluate.score(split, 144, missing=MISSING["third"])
-        published = stored(evaluated.realigned, 144)
+@pytest.mark.parametrize("is_whole", [False, True])
+@pytest.mark.parametrize(
+    ("splits", "one", "names", "missing"),
+    [
+        pytest.param(of_second_study, "R14", SECOND, (), marks=needs_second_study),
+        pytest.param(
+            of_third_study, "S10", ("third_study", "new_pad"), MISSING["third"], marks=needs_third_study
+        ),
+    ],
+    ids=["second", "third"],
+)
+def test_another_study_scores_as_published(
+    scores: Scores,
+    tmp_path: Path,
+    splits: Callable[[str | None, Path], tuple[Split, Split]],
+    one: str,
+    names: tuple[str, str],
+    missing: tuple[str, ...],
+    is_whole: bool,
+) -> None:
+    person = None if is_whole else one
+    for split, name in zip(splits(person, tmp_path), names, strict=True):
+        again = evaluate.score(split, 144, missing=missing)
+        published = stored(getattr(scores, name).realigned, 144)
         assert of(person, again) == pytest.approx(of(person, published), abs=tolerance(person))
+        if is_whole:
+            assert again.windows == published.windows
 
 
 def tolerance(person: str | None) -> float:
