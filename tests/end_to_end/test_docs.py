@@ -13,6 +13,7 @@ from touchd.model.studies.__main__ import STUDIES, main
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("*.md")]
+WITH_FIRMWARE = [*PAGES, ROOT / "drivers/firmware/README.md"]
 MODULES = {command: module_of(command) for command in COMMANDS}
 TARGETS = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
 
@@ -45,7 +46,7 @@ def anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", WITH_FIRMWARE, ids=lambda page: str(page.relative_to(ROOT)))
 def test_every_link_and_picture_exists(page: Path) -> None:
     for name, anchor in re.findall(r"\]\(([^)#:]*)(?:#([^)]*))?\)", page.read_text()):
         target = page.parent / name if name else page
@@ -66,7 +67,7 @@ def test_every_command_can_be_typed_as_it_stands(page: Path) -> None:
             assert rest[2] in STUDIES, rest
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", WITH_FIRMWARE, ids=lambda page: str(page.relative_to(ROOT)))
 def test_every_configuration_on_a_page_is_accepted(page: Path, tmp_path: Path) -> None:
     for block in re.findall(r"```yaml\n(.*?)```", page.read_text(), re.DOTALL):
         path = tmp_path / "touchd.yaml"
