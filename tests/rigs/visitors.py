@@ -72,20 +72,16 @@ def pats(count: int) -> Routes:
     return make
 
 
-def rub(seconds: float) -> Routes:
+def rub(rng: RandomState) -> tuple[Places, float]:
     """Return a movement to and fro over a third to a half of the pad."""
+    pace_hz, reach = rng.uniform(1.3, 2.3), rng.uniform(0.15, 0.28)
+    heading, phase = rng.uniform(0.0, math.pi), rng.choice([0.0, math.pi])
 
-    def make(rng: RandomState) -> tuple[Places, float]:
-        pace_hz, reach = rng.uniform(1.3, 2.3), rng.uniform(0.15, 0.28)
-        heading, phase = rng.uniform(0.0, math.pi), rng.choice([0.0, math.pi])
+    def places(time_s: float) -> list[tuple[float, float]]:
+        along = reach * math.cos(2.0 * math.pi * pace_hz * time_s + phase)
+        return [(0.5 + along * math.sin(heading), 0.5 + along * math.cos(heading))]
 
-        def places(time_s: float) -> list[tuple[float, float]]:
-            along = reach * math.cos(2.0 * math.pi * pace_hz * time_s + phase)
-            return [(0.5 + along * math.sin(heading), 0.5 + along * math.cos(heading))]
-
-        return places, seconds
-
-    return make
+    return places, 2.0
 
 
 def still_hand(rng: RandomState) -> tuple[Places, float]:
@@ -94,53 +90,28 @@ def still_hand(rng: RandomState) -> tuple[Places, float]:
     return (lambda time_s: [(row, column)]), rng.uniform(1.0, 3.0)
 
 
-def scratching(seconds: float) -> Routes:
+def scratching(rng: RandomState) -> tuple[Places, float]:
     """Return short quick pulls in one place."""
+    pace_hz, reach = rng.uniform(2.5, 4.0), rng.uniform(0.05, 0.11)
+    heading = rng.uniform(0.0, math.pi)
+    row, column = rng.uniform(0.4, 0.6, 2)
 
-    def make(rng: RandomState) -> tuple[Places, float]:
-        pace_hz, reach = rng.uniform(2.5, 4.0), rng.uniform(0.05, 0.11)
-        heading = rng.uniform(0.0, math.pi)
-        row, column = rng.uniform(0.4, 0.6, 2)
+    def places(time_s: float) -> list[tuple[float, float]]:
+        along = reach * math.cos(2.0 * math.pi * pace_hz * time_s)
+        return [(row + along * math.sin(heading), column + along * math.cos(heading))]
 
-        def places(time_s: float) -> list[tuple[float, float]]:
-            along = reach * math.cos(2.0 * math.pi * pace_hz * time_s)
-            return [(row + along * math.sin(heading), column + along * math.cos(heading))]
-
-        return places, seconds
-
-    return make
-
-
-def with_fingers(count: int, make: Routes) -> Routes:
-    """Return a movement that several fingers do beside each other, as on a touch screen."""
-
-    def made(rng: RandomState) -> tuple[Places, float]:
-        together, seconds = make(rng)
-        offsets = [
-            (rng.normal(0.0, 0.02), 0.14 * (finger - (count - 1) / 2) + rng.normal(0.0, 0.01))
-            for finger in range(count)
-        ]
-
-        def places(time_s: float) -> list[tuple[float, float]]:
-            return [(row + down, column + over) for row, column in together(time_s) for down, over in offsets]
-
-        return places, seconds
-
-    return made
+    return places, 2.0
 
 
 KINDS = (
     Kind("stroke of 0.3 to 0.5 s", "stroke", "hand", stroke(0.3, 0.5)),
     Kind("stroke of 0.5 to 0.7 s", "stroke", "hand", stroke(0.5, 0.7)),
     Kind("stroke of 1 s", "stroke", "hand", stroke(0.9, 1.1)),
-    Kind("stroke of 2 s", "stroke", "hand", stroke(1.8, 2.2)),
     Kind("one pat", "pat", "hand", pats(1)),
     Kind("three pats", "pat", "hand", pats(3)),
-    Kind("rub of 1 s", "rub", "hand", rub(1.0)),
-    Kind("rub of 2 s", "rub", "hand", rub(2.0)),
+    Kind("rub of 2 s", "rub", "hand", rub),
     Kind("still hand", "constant", "hand", still_hand),
-    Kind("fingertips, scratching for 2 s", "scratch", "fingertips", scratching(2.0)),
-    Kind("three fingers, scratching for 2 s", "scratch", "finger", with_fingers(3, scratching(2.0))),
+    Kind("fingertips, scratching for 2 s", "scratch", "fingertips", scratching),
 )
 
 
