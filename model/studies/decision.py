@@ -14,6 +14,7 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rich.console import Console
@@ -457,6 +458,16 @@ def draw(measured: Measured, path: Path) -> None:
     """Draw accuracy over time on the challenge's windows, and how often early answers come and are right."""
     figure = Figure(figsize=(10.4, 4.0), layout="constrained")
     left, right = figure.subplots(1, 2)
+    _draw_over_time(measured, left)
+    _draw_early(measured, right)
+    for axes in (left, right):
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.grid(alpha=0.25)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+
+
+def _draw_over_time(measured: Measured, left: Axes) -> None:
     lines = {
         "touchd, once it is sure": ("#1f5fa8", [(e.mean_s, 100 * e.accuracy) for e in measured.challenge]),
         "touchd, fixed time": ("#5b9bd5", [(n / FRAME_RATE_HZ, 100 * a) for n, a in measured.fixed.items()]),
@@ -467,6 +478,9 @@ def draw(measured: Measured, path: Path) -> None:
         left.annotate(title, LABELS_AT[place], color=colour)
     left.set(xlabel="mean time to the answer, s", ylabel="macro accuracy on the test participants, %")
     left.set(xlim=(0, 2.8), ylim=(55, 92))
+
+
+def _draw_early(measured: Measured, right: Axes) -> None:
     margin = measured.default.revise_margin
     for colour, (title, study) in zip(
         ("#1f5fa8", "#2a8a57", "#7a3f98", "#c4611a"), measured.studies.items(), strict=False
@@ -487,11 +501,6 @@ def draw(measured: Measured, path: Path) -> None:
         right.annotate(name, dot, xytext=(4, 3), textcoords="offset points", color="#1f5fa8", fontsize=8)
     right.set(xlabel="touches told after 1 s, %", ylabel="right when told, %", xlim=(0, 140))
     right.set_xticks(range(0, 101, 20))
-    for axes in (left, right):
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.grid(alpha=0.25)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
 
 
 def _percent(share: float) -> str:

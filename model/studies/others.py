@@ -11,10 +11,11 @@ import gzip
 import logging
 import math
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -297,39 +298,7 @@ def measure(folders: Folders, firm_pad: Path | None) -> Measured:
     test = haart.realigned(haart.read_test(folders.haart))
     rests = [each.counts for each in test if each.gesture == NO_TOUCH]
     rng = np.random.default_rng(11)
-
-    def played(maker: object) -> list[list[Event]]:
-        assert callable(maker)
-        made = [on_rests(maker(rng), rests[rng.integers(len(rests))]) for _ in range(MADE)]
-        return [play(frames_of(counts), shipped, flush=True) for counts in made]
-
-    blows, squeezes = played(blow), played(squeeze)
-    caresses = {
-        f"{lasts_s:g}": told(
-            [play(frames_of(caress(lasts_s, seed)), shipped, flush=True) for seed in range(CARESSES)],
-            "stroke",
-        )
-        for lasts_s in SPEEDS_S
-    }
-    models = streams.held_out()
-    named = third_study.OTHERS
-    others = [
-        streams.play(stream, models[stream.participant])
-        for stream in streams.read(folders.third_study, others=named)
-        if stream.gesture in named
-    ]
-    firm = None
-    if firm_pad is not None:
-        each = [by_touch(play(frames_of(counts), shipped, flush=True)) for counts in firm_touches(firm_pad)]
-        firm = told([touch for touches in each for touch in touches])
-    is_pat = [
-        any(
-            isinstance(event, Prediction) and event.told and event.gesture == "pat"
-            and event.confidence >= VERY_SURE
-            for event in events
-        )
-        for events in blows
-    ]  # fmt: skip
+    blows, squeezes = (_played(shipped, maker, rests, rng) for maker in (blow, squeeze))
     return Measured(
         model=shipped.name,
         windows=[windows(strange, third, length) for length in LENGTHS],
@@ -342,12 +311,43 @@ def measure(folders: Folders, firm_pad: Path | None) -> Measured:
             lost("third, held out", third),
         ],
         curve=curve(strange, third),
-        streams=told(others),
+        streams=told(_other_streams(folders)),
         made={"blow": told(blows), "squeeze": told(squeezes)},
-        blows_called_pat=_percent(np.array(is_pat)),
-        caresses=caresses,
-        firm_pad=firm,
+        blows_called_pat=_percent(np.array([any(map(_is_sure_pat, events)) for events in blows])),
+        caresses={f"{lasts_s:g}": _caressed(shipped, lasts_s) for lasts_s in SPEEDS_S},
+        firm_pad=None if firm_pad is None else _on_firm_pad(shipped, firm_pad),
     )
+
+
+def _played(
+    shipped: Classifier, maker: Callable[[Generator], Floats], rests: Sequence[NDArray[Any]], rng: Generator
+) -> list[list[Event]]:
+    """Return the events of made touches, each on a rest of HAART's test participants."""
+    made = [on_rests(maker(rng), rests[int(rng.integers(len(rests)))]) for _ in range(MADE)]
+    return [play(frames_of(counts), shipped, flush=True) for counts in made]
+
+
+def _caressed(shipped: Classifier, lasts_s: float) -> Told:
+    made = (caress(lasts_s, seed) for seed in range(CARESSES))
+    return told([play(frames_of(counts), shipped, flush=True) for counts in made], "stroke")
+
+
+def _other_streams(folders: Folders) -> list[list[Event]]:
+    """Return the events of the third study's streams of touches that are none of the gestures."""
+    models, named = streams.held_out(), third_study.OTHERS
+    found = streams.read(folders.third_study, others=named)
+    return [streams.play(each, models[each.participant]) for each in found if each.gesture in named]
+
+
+def _on_firm_pad(shipped: Classifier, firm_pad: Path) -> Told:
+    each = [by_touch(play(frames_of(counts), shipped, flush=True)) for counts in firm_touches(firm_pad)]
+    return told([touch for touches in each for touch in touches])
+
+
+def _is_sure_pat(event: Event) -> bool:
+    if not isinstance(event, Prediction):
+        return False
+    return event.told and event.gesture == "pat" and event.confidence >= VERY_SURE
 
 
 def _percent(mask: NDArray[np.bool_]) -> float:

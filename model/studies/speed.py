@@ -12,12 +12,14 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import msgspec
 import numpy as np
 import onnx
 import onnxruntime
 import torch
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -244,25 +246,27 @@ def draw(measured: Measured, path: Path) -> None:
     for network in dict.fromkeys(each.network for each in windows):
         own = sorted((each for each in windows if each.network == network), key=lambda each: each.frames)
         line = [(each.processor_ms, 100 * (each.error or 0.0)) for each in own]
-        is_ours, is_papers = network.startswith("touchd"), network in PAPERS.values()
-        colour = "#1f5fa8" if is_ours else "#c4611a" if is_papers else "0.45"
-        axes.plot(*zip(*line, strict=True), "o-", color=colour, markersize=4)
-        above = network in (PAPERS["printed"], f"Hughes, {CNN}") or (is_ours and network != shipped)
-        axes.annotate(
-            network,
-            line[0] if above else line[-1],
-            xytext=(0, 6) if above else (0, -14) if is_papers else (8, -3),
-            textcoords="offset points",
-            ha="right" if is_papers and not above else "left" if not above else "center",
-            color=colour,
-            fontsize=8,
-        )
+        _draw_line(axes, network, line, is_shipped=network == shipped)
     axes.set(xscale="log", xlabel="processor time of one answer, ms", xlim=(0.02, 400))
     axes.set_ylabel("macro error on the test participants, %")
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.spines[["top", "right"]].set_visible(False)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=120)
+
+
+def _draw_line(axes: Axes, network: str, line: Sequence[tuple[float, float]], *, is_shipped: bool) -> None:
+    """Draw a network's line, and its name above its first point or beside its last."""
+    is_ours, is_papers = network.startswith("touchd"), network in PAPERS.values()
+    colour = "#1f5fa8" if is_ours else "#c4611a" if is_papers else "0.45"
+    axes.plot(*zip(*line, strict=True), "o-", color=colour, markersize=4)
+    place, offset, align = line[-1], (8, -3), "left"
+    if network in (PAPERS["printed"], f"Hughes, {CNN}") or (is_ours and not is_shipped):
+        place, offset, align = line[0], (0, 6), "center"
+    elif is_papers:
+        offset, align = (0, -14), "right"
+    style: dict[str, Any] = {"textcoords": "offset points", "fontsize": 8, "color": colour, "ha": align}
+    axes.annotate(network, place, xytext=offset, **style)
 
 
 def _shipped_error(frames: int) -> float | None:

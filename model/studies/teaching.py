@@ -157,12 +157,7 @@ def taught(
         held = windows(pretrained.backbone, scored)[FRAMES]
         truth = np.array([pretrained.labels.index(scored[i].gesture) for i in held.recordings])
         for how, shown in {BEFORE: [], **lessons(learnt, rng)}.items():
-            head = pretrained.head
-            if shown:
-                features = crops(
-                    pretrained.backbone, shown, pretrained.augmentation, settings.crops, settings.seed
-                )
-                head = fit(head, pretrained.labels, [], features, rehearsed, settings)
+            head = _learnt(pretrained, shown, rehearsed, settings) if shown else pretrained.head
             gain = other.right(head) if other else (0.0, 0.0)
             right = logits(head, held, np.ones(len(truth), bool)).argmax(axis=1) == truth
             scores = rows(measure(scored, _classifier(base, head)))
@@ -178,6 +173,13 @@ def taught(
                 others_passing=round(gain[0] - was[0], 2),
                 others_windows=round(gain[1] - was[1], 2),
             )
+
+
+def _learnt(
+    pretrained: Pretrained, shown: Sequence[Recording], rehearsed: CropFeatures, settings: AdaptSettings
+) -> nn.Sequential:
+    features = crops(pretrained.backbone, shown, pretrained.augmentation, settings.crops, settings.seed)
+    return fit(pretrained.head, pretrained.labels, [], features, rehearsed, settings)
 
 
 def _classifier(base: Path, head: nn.Sequential) -> Classifier:
