@@ -6,14 +6,14 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing
 from pathlib import Path
 
 import pytest
+from rigs import attackers
 from rigs.made_events import TIME
 from rigs.peers import PAD, LslPeer, MqttPeer, Peer, Ros2Peer, RosbridgePeer, frame, needs_mosquitto
 from rigs.wait import WITHIN_S, wait_for
-from websockets.utils import accept_key
 
 from touchd.daemon.bridges.bridge import Bridge
 from touchd.daemon.path.events import Label
@@ -29,11 +29,6 @@ ALL = [pytest.param(kind, marks=marks) for kind, (_, _, marks) in KINDS.items()]
 CONNECTING, ACKNOWLEDGED = [ALL[0], ALL[3]], [ALL[0]]
 # How long a daemon that ends waits for its sinks, and time that a busy machine may need beside it.
 STOP_S, BUSY_S = 2.0, 3.0
-CONNACK = b"\x20\x02\x00\x00"
-WELCOME = (
-    b"HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-    b"Sec-WebSocket-Accept: %s\r\n\r\n"
-)
 
 
 @pytest.fixture
@@ -127,68 +122,29 @@ def test_what_is_stale_when_the_peer_returns_is_not_sent(peer: Peer, monkeypatch
     assert not set(range(2, 50)) & set(numbers(peer))
 
 
-def answer(client: socket.socket) -> None:
-    """Greet a client of MQTT or of a websocket."""
-    key = re.search(rb"Sec-WebSocket-Key: (.*)\r", client.recv(65536))
-    client.sendall(WELCOME % accept_key(key[1].decode()).encode() if key else CONNACK)
+def say_nothing(client: socket.socket, goes_on: Callable[[], bool]) -> None:
+    while goes_on():
+        time.sleep(0.01)
 
 
-def say_nothing(client: socket.socket, ended: threading.Event) -> None:
-    ended.wait()
+def take_nothing(client: socket.socket, goes_on: Callable[[], bool]) -> None:
+    attackers.welcome(client)
+    say_nothing(client, goes_on)
 
 
-def take_nothing(client: socket.socket, ended: threading.Event) -> None:
-    answer(client)
-    ended.wait()
-
-
-def hang_up(client: socket.socket, ended: threading.Event) -> None:
-    answer(client)
-    with suppress(TimeoutError):
-        client.settimeout(0.1)
-        while client.recv(65536):
-            pass
-
-
-Behaviour = Callable[[socket.socket, threading.Event], None]
-
-
-@contextmanager
-def behaving(port: int, behaviour: Behaviour) -> Iterator[list[float]]:
-    """Let clients in, one at a time; yields when each came."""
-    ended, came = threading.Event(), list[float]()
-
-    def let_in(door: socket.socket) -> None:
-        while not ended.is_set():
-            with suppress(OSError), door.accept()[0] as client:
-                came.append(time.monotonic())
-                client.settimeout(1.0)
-                behaviour(client, ended)
-
-    with socket.socket() as door:
-        door.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        door.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        door.bind(("127.0.0.1", port))
-        door.listen()
-        door.settimeout(0.1)
-        thread = threading.Thread(target=let_in, args=(door,))
-        thread.start()
-        try:
-            yield came
-        finally:
-            ended.set()
-            thread.join()
+def hang_up(client: socket.socket, goes_on: Callable[[], bool]) -> None:
+    attackers.welcome(client)
 
 
 @pytest.mark.parametrize("behaviour", [say_nothing, take_nothing, hang_up])
 @pytest.mark.parametrize("peer", CONNECTING, indirect=True)
-def test_an_ill_peer_delays_neither_put_nor_stop(peer: Peer, behaviour: Behaviour) -> None:
-    with behaving(peer.port, behaviour) as came:
+def test_an_ill_peer_delays_neither_put_nor_stop(peer: Peer, behaviour: attackers.Attack) -> None:
+    with attackers.server(peer.port, behaviour) as came:
         bridge = peer.bridge()
-        wait_for(lambda: bool(came))
+        wait_for(lambda: came[0])
         assert slowest_put_s(bridge) < BUSY_S
         if behaviour is hang_up:
-            wait_for(lambda: len(came) >= 4)
+            wait_for(lambda: came[0] >= 4)
         stop_in_time(bridge)
 
 
@@ -232,7 +188,7 @@ def test_a_server_that_takes_nothing_is_left(
 ) -> None:
     pytest.importorskip("websockets")
     monkeypatch.setattr("touchd.daemon.bridges.rosbridge.UNTAKEN_MS", 300)
-    with closing(RosbridgePeer(tmp_path)) as peer, behaving(peer.port, take_nothing):
+    with closing(RosbridgePeer(tmp_path)) as peer, attackers.server(peer.port, take_nothing):
         bridge = peer.bridge()
         # Enough to fill the kernel's buffers for the peer before the first ping.
         times = itertools.count()

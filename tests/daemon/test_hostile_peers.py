@@ -8,12 +8,13 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.request import urlopen
 
 import pytest
 from rigs import attackers
 from rigs.expectations import DEMO, stream_of
+from rigs.peers import DDS_ON_LOOPBACK
 from rigs.running_daemon import Daemon
 from rigs.sockets import LISTENS, free_port, sockets
 from rigs.wait import AT_ONCE_S, wait_for
@@ -33,49 +34,6 @@ MOST_LOG_LINES = 2 * MOST_LINES + 20
 SETTLING_S = 0.7
 # A separate DDS domain, unlike a lab's.
 DOMAIN = 77
-
-Configure = Callable[[int], dict[str, Any]]
-
-
-def mqtt(port: int) -> dict[str, Any]:
-    return {"mqtt": MqttSettings(host="127.0.0.1", port=port, pressure_hz=500)}
-
-
-def rosbridge(port: int) -> dict[str, Any]:
-    url = f"ws://127.0.0.1:{port}/?token=s3cret"
-    return {"rosbridge": RosbridgeSettings(url=url, pressure_hz=500)}
-
-
-def robot(port: int) -> dict[str, Any]:
-    return {"robot": RobotSettings(url=f"tcp://127.0.0.1:{port}")}
-
-
-def lsl(_port: int) -> dict[str, Any]:
-    return {"lsl": LslSettings()}
-
-
-def ros2(_port: int) -> dict[str, Any]:
-    return {"ros2": Ros2Settings(domain=DOMAIN)}
-
-
-def live(port: int) -> dict[str, Any]:
-    return {"live": LiveSettings(port=port)}
-
-
-def pad_at(scheme: str) -> Configure:
-    return lambda port: {"sensors": {scheme: PadSettings(port=f"{scheme}://127.0.0.1:{port}")}}
-
-
-SERVERS: dict[str, tuple[str, Configure, attackers.Attack]] = {
-    "mqtt, QoS 2 without end": ("paho.mqtt", mqtt, attackers.unfinished_publishes),
-    "mqtt, a broker that reads nothing": ("paho.mqtt", mqtt, attackers.takes_nothing),
-    "rosbridge, empty fragments": ("websockets", rosbridge, attackers.empty_fragments),
-    "rosbridge, refusals": ("websockets", rosbridge, attackers.statuses),
-    "robot, no answer to the login": ("socket", robot, attackers.never_answers),
-    "robot, a message of 4 GB": ("socket", robot, attackers.claims_gigabytes),
-    "pad, tcp": ("serial", pad_at("tcp"), attackers.zeros),
-    "pad, socket": ("serial", pad_at("socket"), attackers.zeros),
-}
 
 
 def children(pid: int) -> list[int]:
@@ -133,33 +91,6 @@ def endured(folder: Path, attacks: Sequence[Attack], seconds: float, **settings:
 
 
 Stranger = Callable[[attackers.Find, Callable[[], bool]], None]
-# The library attacked, the settings that use it, the protocol on which it listens, and the attack.
-STRANGERS: dict[str, tuple[str, Configure, str, Stranger]] = {
-    "lsl, an endless request": ("pylsl", lsl, "tcp", attackers.endless_lsl_request),
-    "ros2, participants": ("cyclonedds", ros2, "udp", attackers.dds_participants(DOMAIN)),
-    "live page, viewers": ("websockets", live, "tcp", attackers.noisy_viewers),
-    "pad, udp": ("serial", pad_at("udp"), "udp", attackers.datagrams),
-}
-ATTACKS = (*SERVERS, *STRANGERS)
-# Attacks at once: one by each peer, and at most one that fills the memory that a library's process may take.
-TOGETHER = (
-    (
-        "mqtt, QoS 2 without end",
-        "rosbridge, empty fragments",
-        "robot, no answer to the login",
-        "lsl, an endless request",
-        "live page, viewers",
-    ),
-    (
-        "mqtt, a broker that reads nothing",
-        "rosbridge, refusals",
-        "robot, a message of 4 GB",
-        "ros2, participants",
-        "pad, tcp",
-        "pad, socket",
-        "pad, udp",
-    ),
-)
 
 
 @contextmanager
@@ -184,43 +115,89 @@ def stranger(pid: int, protocol: str, attack: Stranger) -> Iterator[None]:
         thread.join()
 
 
-def prepared(names: Sequence[str]) -> tuple[list[Attack], dict[str, Any]]:
-    """Return these attacks, without those whose library is missing, and the settings that expose touchd."""
-    attacks: list[Attack] = []
+class Attacked(NamedTuple):
+    """How touchd is attacked. library: that is needed. settings: which expose touchd at a port.
+
+    peer: attacks whatever connects to that port. stranger: attacks what listens, by this protocol.
+    """
+
+    library: str
+    settings: Callable[[int], dict[str, Any]]
+    peer: attackers.Attack | None = None
+    stranger: tuple[str, Stranger] | None = None
+
+
+def mqtt(port: int) -> dict[str, Any]:
+    return {"mqtt": MqttSettings(host="127.0.0.1", port=port, pressure_hz=500)}
+
+
+def rosbridge(port: int) -> dict[str, Any]:
+    url = f"ws://127.0.0.1:{port}/?token=s3cret"
+    return {"rosbridge": RosbridgeSettings(url=url, pressure_hz=500)}
+
+
+def robot(port: int) -> dict[str, Any]:
+    return {"robot": RobotSettings(url=f"tcp://127.0.0.1:{port}")}
+
+
+def pad_at(scheme: str) -> Callable[[int], dict[str, Any]]:
+    return lambda port: {"sensors": {scheme: PadSettings(port=f"{scheme}://127.0.0.1:{port}")}}
+
+
+# Attacks at once: one by each peer, and at most one that fills the memory that a library's process may take.
+TOGETHER = (
+    (
+        Attacked("paho.mqtt", mqtt, attackers.unfinished_publishes),
+        Attacked("websockets", rosbridge, attackers.empty_fragments),
+        Attacked("socket", robot, attackers.never_answers),
+        Attacked("pylsl", lambda _: {"lsl": LslSettings()}, None, ("tcp", attackers.endless_lsl_request)),
+        Attacked(
+            "websockets",
+            lambda port: {"live": LiveSettings(port=port)},
+            None,
+            ("tcp", attackers.noisy_viewers),
+        ),
+    ),
+    (
+        Attacked("paho.mqtt", mqtt, attackers.takes_nothing),
+        Attacked("websockets", rosbridge, attackers.statuses),
+        Attacked("socket", robot, attackers.claims_gigabytes),
+        Attacked(
+            "cyclonedds",
+            lambda _: {"ros2": Ros2Settings(domain=DOMAIN)},
+            None,
+            ("udp", attackers.dds_participants(DOMAIN)),
+        ),
+        Attacked("serial", pad_at("tcp"), attackers.zeros),
+        Attacked("serial", pad_at("socket"), attackers.zeros),
+        Attacked("serial", pad_at("udp"), None, ("udp", attackers.datagrams)),
+    ),
+)
+
+
+@pytest.mark.parametrize("seconds", [0.7, pytest.param(60.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("attacks", TOGETHER)
+def test_peers_and_strangers_cannot_make_touchd_use_memory(
+    tmp_path: Path, attacks: Sequence[Attacked], seconds: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CYCLONEDDS_URI", DDS_ON_LOOPBACK)
     settings: dict[str, Any] = {}
-    for name in names:
-        library, configure, *how = SERVERS.get(name) or STRANGERS[name]
-        if importlib.util.find_spec(library.partition(".")[0]) is None:
+    begun: list[Attack] = []
+    for attack in attacks:
+        if importlib.util.find_spec(attack.library.partition(".")[0]) is None:
             continue
         port = free_port()
-        new = configure(port)
-        # An attacking pad replaces the simulated one.
-        new |= (
-            {"sensor": SensorSettings(), "sensors": settings.get("sensors", {}) | new["sensors"]}
-            if "sensors" in new
-            else {}
-        )
+        new = attack.settings(port)
+        if "sensors" in new:
+            # An attacking pad replaces the simulated one.
+            settings["sensor"] = SensorSettings()
+            new["sensors"] |= settings.get("sensors", {})
         settings |= new
-        if name in SERVERS:
-            attacks.append(lambda _, port=port, how=how: attackers.server(port, *how))  # type: ignore[misc]
-        else:
-            attacks.append(lambda pid, how=how: stranger(pid, *how))  # type: ignore[misc]
-    if not attacks:
-        pytest.skip("no library that these attack is installed")
-    return attacks, settings
-
-
-@pytest.mark.parametrize("names", TOGETHER, ids=", and ".join)
-def test_peers_and_strangers_cannot_make_touchd_use_memory(tmp_path: Path, names: tuple[str, ...]) -> None:
-    attacks, settings = prepared(names)
-    endured(tmp_path, attacks, 0.7, **settings)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ATTACKS)
-def test_a_minutes_attack_by_one_makes_touchd_use_no_memory(tmp_path: Path, name: str) -> None:
-    attacks, settings = prepared([name])
-    endured(tmp_path, attacks, 60.0, **settings)
+        if attack.peer is not None:
+            begun.append(lambda _, port=port, peer=attack.peer: attackers.server(port, peer))  # type: ignore[misc]
+        if attack.stranger is not None:
+            begun.append(lambda pid, how=attack.stranger: stranger(pid, *how))  # type: ignore[misc]
+    endured(tmp_path, begun, seconds, **settings)
 
 
 def test_running_out_of_descriptors_neither_floods_the_log_nor_lasts(tmp_path: Path) -> None:

@@ -17,6 +17,10 @@ from websockets.utils import accept_key
 
 CONNACK = b"\x20\x02\x00\x00"
 PUBACK = b"\x40\x02"
+WELCOME = (
+    b"HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    b"Sec-WebSocket-Accept: %s\r\n\r\n"
+)
 # Python threads share one processor, so larger pieces attack faster.
 CHUNK = 64 * 1024
 # How many ports DDS gives each domain.
@@ -45,6 +49,7 @@ def server(port: int, attack: Attack) -> Iterator[list[int]]:
                 threads[-1].start()
 
     with closing(socket.create_server(("127.0.0.1", port))) as door:
+        door.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         door.settimeout(0.1)
         threads.append(threading.Thread(target=let_in))
         threads[0].start()
@@ -77,6 +82,12 @@ def send_on(client: socket.socket, goes_on: Callable[[], bool], pieces: Iterator
         draining.join()
 
 
+def welcome(client: socket.socket) -> None:
+    """Greet a client of MQTT or of a websocket."""
+    key = re.search(rb"Sec-WebSocket-Key: (.*)\r", client.recv(CHUNK))
+    client.sendall(WELCOME % accept_key(key[1].decode()).encode() if key else CONNACK)
+
+
 # MQTT
 
 
@@ -87,16 +98,14 @@ def publish(payload: int, number: int) -> bytes:
 
 
 def unfinished_publishes(client: socket.socket, goes_on: Callable[[], bool]) -> None:
-    client.recv(CHUNK)
-    client.sendall(CONNACK)
+    welcome(client)
     numbers = itertools.cycle(range(1, 65536))
     send_on(client, goes_on, (publish(10_000, number) for number in numbers))
 
 
 def takes_nothing(client: socket.socket, goes_on: Callable[[], bool]) -> None:
     """A broker that reads nothing after the greeting, and keeps the connection alive."""
-    client.recv(CHUNK)
-    client.sendall(CONNACK)
+    welcome(client)
     while goes_on():
         client.sendall(b"\xd0\x00")
         time.sleep(1.0)
@@ -139,15 +148,6 @@ def acknowledge(
 
 
 # rosbridge
-
-
-def welcome(client: socket.socket) -> None:
-    key = re.search(rb"Sec-WebSocket-Key: (.*)\r", client.recv(CHUNK))
-    assert key is not None
-    client.sendall(
-        b"HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
-        b"Sec-WebSocket-Accept: %s\r\n\r\n" % accept_key(key[1].decode()).encode()
-    )
 
 
 def text(content: bytes) -> bytes:
