@@ -16,14 +16,13 @@ from touchd.drivers.installed import SIZES, extra_of, how_to_install, program_na
 
 USERS_MISTAKE, OUR_MISTAKE, INTERRUPTED = 2, 1, 130
 # These run until a signal ends them; their exit code is then 0.
-UNTIL_ENDED = ("run", "demo", "replay", "fake-pad", "fake-robot")
+UNTIL_ENDED = ("run", "demo", "fake-pad", "fake-robot")
 
 COMMANDS = {
     "init": "finds the pad, asks for the robot, writes a configuration",
     "run": "the daemon: reads the pad, reports touches to the robot",
     "demo": "runs the daemon on a simulated pad, then ends",
     "tag": "puts tags such as participant=P07 into a daemon's events",
-    "replay": "plays recordings through a fake serial port",
     "fake-pad": "simulates a pad and prints the path of its port",
     "fake-robot": "simulates a robot and prints every call",
     "classify": "prints the answers to recordings, without a port",

@@ -59,7 +59,6 @@ NEXT = """
 What to try next:
   {touchd} demo --live    a page in your browser on which you touch the pad yourself
   {touchd} classify       all answers to the same recording at once
-  {touchd} replay         the recording as a pad: prints the command that reads it
   {touchd} doctor         looks for a pad and a robot, and says what to do
   {touchd} docs install   how to wire a real pad and a real Nao
 """

@@ -1,7 +1,6 @@
 """The command line: its commands, and for every mistake one clear line and the right exit code."""
 
 import errno
-import json
 import os
 import re
 import signal
@@ -16,8 +15,7 @@ import numpy as np
 import pytest
 from rigs.expectations import DEMO, GESTURES, expected, outline
 from rigs.made_events import PREDICTION
-from rigs.programs import TOUCHD, Program, ran
-from rigs.wait import WITHIN_S
+from rigs.programs import TOUCHD, ran
 
 from touchd.daemon.app import cli
 from touchd.daemon.app.config import ConfigError, SceneSettings
@@ -176,7 +174,7 @@ def test_a_terminal_that_lacks_a_character_shows_another_one() -> None:
         ("clasify", "clasify is not a command; did you mean classify?"),
         (f"init {'x' * 300}", "File name too long; give another path"),
         ("classify nowhere.csv", "nowhere.csv: cannot be read as a recording (No such file or directory)"),
-        (f"replay {GESTURES} --participant nobody", "no recording matches; participant is one of "),
+        (f"classify {GESTURES} --participant nobody", "no recording matches; participant is one of "),
         ("classify docs", "docs: no recording (.csv or .csv.gz) is in this folder"),
     ],
 )
@@ -193,7 +191,6 @@ def test_a_mistake_is_reported_in_one_line(refusal: Refusal, words: str, message
         ("run --vew", "unrecognized arguments: --vew\n"),
         ("doctor lab.yaml", "as in -c lab.yaml"),
         ("fake-pad lab.yaml", "as in -c lab.yaml"),
-        ("replay --speed abc", "'abc' is not a number from "),
         ("doctor --seconds x", "'x' is not a number from "),
         ("doctor --seconds 0", "'0' is not a number from "),
         ("init nowhere/x.yaml --baud 100", "'100' is not a number from "),
@@ -333,16 +330,6 @@ def test_the_quiet_time_does_not_depend_on_the_pads_rate() -> None:
     fast = replace(quiet[0], counts=np.zeros((4000, 8, 8), np.uint16), sensor_ms=2 * np.arange(4000))
     spans = with_quiet(touches[:1], [fast]).spans
     assert [span.stop - span.start for span in spans if span.gesture == "notouch"] == [2000, 2000]
-
-
-def test_run_reads_what_replay_plays() -> None:
-    with Program(*TOUCHD, "replay", GESTURES, "--gesture", "rub", "--speed", "8") as replay:
-        port = replay.stdout.readline().strip()
-        with Program(*TOUCHD, "run", "--port", port) as run:
-            assert any(json.loads(line)["type"] == "touch_ended" for line in run.stdout)
-            run.terminate()
-            assert run.wait(WITHIN_S) == 0
-        assert replay.wait(WITHIN_S) == 0
 
 
 def test_the_demo_shows_touch_answers_and_robot_and_ends(

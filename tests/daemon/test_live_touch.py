@@ -130,7 +130,7 @@ class FakePad(NamedTuple):
 @pytest.fixture(scope="module")
 def fake_pad(chrome: Chrome) -> Iterator[FakePad]:
     """A fake pad after a first touch, which takes the simulated hand away."""
-    with Program(*TOUCHD, "fake-pad", "--live", "0", "--gestures", "constant", "--every", "3") as program:
+    with Program(*TOUCHD, "fake-pad", "--live", "0") as program:
         url = next(found[1] for line in program.stdout if (found := SERVED.search(line)))
         path = next(line.split()[1] for line in program.stdout if line.startswith("pad: "))
         with sensing(path, silence_s=WITHIN_S) as frames:

@@ -245,7 +245,7 @@ def test_doctor_record_and_classify_use_the_named_pad(
     arm = ["-c", str(path), "--pad", "arm"]
     assert cli.main(["doctor", *arm]) == 1
     assert "/dev/ttyArm is not there" in capfd.readouterr().out
-    for command in (["doctor"], ["record", str(tmp_path)], ["classify"], ["replay"], ["run", "--port", "x"]):
+    for command in (["doctor"], ["record", str(tmp_path)], ["classify"], ["run", "--port", "x"]):
         assert cli.main([*command, "-c", str(path)]) == 2
         said = capfd.readouterr().err
         assert "give --pad one of head, arm" in said or "set sensors.NAME.port" in said
