@@ -65,8 +65,10 @@ def test_a_time_is_sent_in_seconds_and_microseconds_that_fit(time_s: float, sent
 
 
 @pytest.mark.parametrize("is_removed_by_another", [False, True])
-def test_a_gesture_is_shown_for_a_second(is_removed_by_another: bool) -> None:
+def test_the_last_gesture_is_shown_for_a_second(is_removed_by_another: bool) -> None:
     with robot_and_link(pads=("head",)) as (robot, link, calls, _):
+        link.put(message("stroke", pad="head"))
+        time.sleep(0.2)
         link.put(message("pat", pad="head"))
         shown = calls.wait_for_raise("TouchGesture/head/Gesture", "pat")
         if is_removed_by_another:

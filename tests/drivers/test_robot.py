@@ -2,14 +2,13 @@
 
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rigs.robots import CLIENTS, DETAIL, GESTURE, STATUS, Robot, answer, hears, linked, message, needs_qi, say
+from rigs.robots import CLIENTS, DETAIL, GESTURE, STATUS, Robot, answer, linked, message, needs_qi, say
 
 from touchd.drivers.fakes import fake_robot
 from touchd.drivers.robot.link import LIMITS, Act, RobotLink, client_of
@@ -67,36 +66,6 @@ def test_a_slow_robot_gets_every_detail_before_its_gesture(client: str) -> None:
         told = [(key, value[0] if isinstance(value, list) else value) for key, value in raised]
         assert told == [(key, gesture) for gesture in gestures for key in (DETAIL, GESTURE)]
         states.wait_for("up")
-
-
-def test_a_gesture_is_removed_a_second_after_the_last(robot: Robot, client: str) -> None:
-    with linked(robot, client=client) as (link, _):
-        link.put(message("stroke", 1))
-        time.sleep(0.2)
-        link.put(message("pat", 2))
-        removed = robot.calls.wait_for(lambda call: call.method == "removeData")
-        assert removed.arguments == (GESTURE,)
-        assert 0.9 < removed.time_s - robot.calls.wait_for_raise(GESTURE, "pat").time_s < 5.0
-        assert [call.method for call in robot.calls.all()].count("removeData") == 1
-
-
-def test_a_gesture_that_another_program_removed_delays_no_answer(
-    robot: Robot, client: str, session: RobotSession
-) -> None:
-    with linked(robot, client=client) as (link, _):
-        hears(robot, link, "stroke")
-        session.call("ALMemory", "removeData", GESTURE, limit_s=5.0)
-        robot.calls.wait_for(lambda call: call.method == "removeData" and bool(call.refused))
-        hears(robot, link, "pat")
-
-
-def test_the_status_follows_the_pad(robot: Robot, client: str) -> None:
-    with linked(robot, client=client) as (link, _):
-        robot.calls.wait_for_raise(STATUS, "up")
-        for status in ("down", "up"):
-            link.set_status(status)
-            robot.calls.wait_for(lambda _, status=status: robot.calls.raised(STATUS)[-1] == status)  # type: ignore[misc]
-    robot.calls.wait_for(lambda _: robot.calls.raised(STATUS) == ["up", "down", "up", "down"])
 
 
 def test_the_robots_memory_holds_four_bytes(robot: Robot, client: str, session: RobotSession) -> None:

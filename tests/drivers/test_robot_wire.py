@@ -340,41 +340,11 @@ def endless(what: str) -> Wait:
     return Wait(what, 60.0, threading.Event())
 
 
-signatures = st.recursive(
-    st.sampled_from(list("bcCwWiIlLfdsrmv")),
-    lambda inner: st.one_of(
-        inner.map("[{}]".format),
-        st.lists(inner, max_size=4).map(lambda members: f"({''.join(members)})"),
-        st.tuples(st.sampled_from("isL"), inner).map(lambda pair: f"{{{pair[0]}{pair[1]}}}"),
-    ),
-    max_leaves=8,
-)
-
-
 @settings(max_examples=200, deadline=None)
-@given(st.one_of(signatures, st.text("bsm[](){}<>,iXv", max_size=40)), st.binary(max_size=200))
+@given(st.text("bdIsm[](){}<>,Xv", max_size=40), st.binary(max_size=200))
 def test_any_bytes_are_a_value_or_a_fault(signature: str, data: bytes) -> None:
     with suppress(ValueError):
         read(signature, data)
-
-
-plain = st.recursive(
-    st.one_of(
-        st.booleans(),
-        st.integers(-(2**31), 2**31 - 1),
-        # ONNX Runtime, where another test has loaded it, counts denormals as zero.
-        st.floats(allow_nan=False, allow_subnormal=False),
-        st.text(st.characters(codec="utf-8"), max_size=20),
-    ),
-    lambda inner: st.lists(inner, max_size=5),
-    max_leaves=20,
-)
-
-
-@settings(max_examples=100, deadline=None)
-@given(plain)
-def test_what_is_written_is_read_again(value: object) -> None:
-    assert read("m", write("m", value)) == value
 
 
 ROBOTS = b"".join(
