@@ -59,9 +59,6 @@ class Labels:
             broadcast([viewer], msgspec.json.encode(Advice(advice)).decode())
         return ""
 
-    def leave(self, viewer: ServerConnection) -> None:
-        """Do nothing: a viewer leaves nothing behind."""
-
 
 def is_here(viewer: ServerConnection) -> bool:
     """Whether a viewer is on this computer, and asked for the page by a name of this computer alone."""

@@ -62,9 +62,6 @@ class Messages(Protocol):
     def take(self, viewer: ServerConnection, message: str | bytes) -> str:
         """Take a viewer's message; returns why it is refused, or ""."""
 
-    def leave(self, viewer: ServerConnection) -> None:
-        """Forget a viewer."""
-
 
 class LiveServer:
     """A sink that serves the page on a listening socket; taking events and frames never blocks.
@@ -192,8 +189,6 @@ class LiveServer:
                 await connection.close(CloseCode.POLICY_VIOLATION, why)
         finally:
             self._viewers.discard(connection)
-            if self._messages is not None:
-                self._messages.leave(connection)
 
     async def _follow_messages(self, connection: ServerConnection) -> str:
         """Receive what a viewer sends, if viewers may; return why its connection must be closed."""

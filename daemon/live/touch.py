@@ -84,17 +84,13 @@ class Touching:
             self._pressing[viewer] = now_s, pressed
         return ""
 
-    def leave(self, viewer: Hashable) -> None:
-        """Lift everything that a viewer presses."""
-        with self._lock:
-            self._pressing.pop(viewer, None)
-
     def pointers(self) -> dict[Hashable, Pointer]:
-        """Return the pointers that press now, by identity."""
+        """Return the pointers that press now, by identity; those of a viewer who left lift."""
         oldest_s = time.monotonic() - LIFTED_AFTER_S
         with self._lock:
-            fresh = [pressed for at_s, pressed in self._pressing.values() if at_s >= oldest_s]
-        return {key: pointer for pressed in fresh for key, pointer in pressed.items()}
+            fresh = {viewer: one for viewer, one in self._pressing.items() if one[0] >= oldest_s}
+            self._pressing = fresh
+        return {key: pointer for _, pressed in fresh.values() for key, pointer in pressed.items()}
 
 
 class TouchPage:

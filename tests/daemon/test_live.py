@@ -4,31 +4,24 @@ import asyncio
 import json
 import socket
 import threading
-import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
-from pathlib import Path
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import msgspec
 import pytest
-from rigs.expectations import LENGTHS, expected, outline, stream_of
 from rigs.live_rig import HANDSHAKE, Served, frames_among, serving
 from rigs.made_events import PREDICTION, TIME
-from rigs.running_daemon import Daemon, totals
-from rigs.sockets import LISTENS, LOOPBACK, sockets
 from rigs.wait import SOON_S, WITHIN_S
 from websockets.asyncio import client, server
-from websockets.sync.client import ClientConnection, connect
+from websockets.sync.client import ClientConnection
 
-from touchd.daemon.app.config import LiveSettings, SensorSettings, Settings
+from touchd.daemon.app.config import Settings
 from touchd.daemon.commands.settings import load_model
 from touchd.daemon.live.memory import PREDICTIONS, TOUCHES, Memory, Scene
 from touchd.daemon.live.server import CAPACITY, LiveServer
 from touchd.daemon.live.viewers import Viewers
 from touchd.daemon.path.events import SensorEvent, TouchBegan, TouchEnded, encode
-from touchd.daemon.playback.rig import encoder_for
-from touchd.drivers.fakes.fake_port import FakePort
 
 BEGAN = TouchBegan(touch=1, time=TIME, sensor_ms=7)
 ENDED = TouchEnded(touch=1, gesture="pat", frames=60, reason="released", time=TIME)
@@ -200,28 +193,3 @@ def test_stopping_does_not_wait_for_viewers(served: Served, viewer: ClientConnec
             served.put_frame()
         served.sink.stop(0.0)
     assert [message for message in viewer if isinstance(message, bytes)] == []
-
-
-@pytest.mark.slow
-def test_viewers_cost_the_daemon_no_frame(tmp_path: Path) -> None:
-    stream = stream_of(LENGTHS)
-    with (
-        FakePort(stream, encoder_for(SensorSettings()), speed=16.0) as pad,
-        Daemon(tmp_path, pad, live=LiveSettings(port=0)) as daemon,
-        ExitStack() as closing,
-    ):
-        url = daemon.url.removeprefix("http://")
-        port = int(url.rpartition(":")[2])
-        held = sockets(daemon.process.pid)
-        assert [address.partition(":")[0] for _, address, state in held if state == LISTENS] == [LOOPBACK]
-        for _ in range(3):
-            closing.enter_context(connect(f"ws://{url}/stream", max_queue=1))
-        unfinished = closing.enter_context(socket.create_connection(("127.0.0.1", port)))
-        unfinished.sendall(b"GET /stream HTTP/1.1\r\n")
-        assert pad.wait(WITHIN_S)
-        asked_s = time.monotonic()
-        assert daemon.stop() == 0
-        assert time.monotonic() - asked_s < 2.0
-        assert outline(daemon.events) == expected(LENGTHS)
-        frames, _, dropped = totals(daemon.log)
-        assert (frames, dropped) == (len(stream.counts), 0)
