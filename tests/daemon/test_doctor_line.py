@@ -13,7 +13,7 @@ import pytest
 from msgspec.structs import replace
 from rigs.doctor_rig import SETTINGS, pad_at_baud, pad_of, pad_read_too_fast, resting, sample
 from rigs.expectations import RECORDINGS, stream_of
-from rigs.formats import encode_csv_line
+from rigs.formats import encode_csv_line, encode_fabric_grid
 from rigs.line_faults import Faults
 from rigs.sensor_rig import Encode, as_8x8, silence
 from rigs.wait import once_in_three
@@ -24,7 +24,7 @@ from touchd.daemon.doctor.check import Check, Sample, listen
 from touchd.daemon.doctor.line import check_damage, check_opening, check_protocol, check_rate
 from touchd.drivers.fakes.encode import encode_frame
 from touchd.drivers.fakes.fake_port import FakePort
-from touchd.drivers.frame import Frame
+from touchd.drivers.frame import Counts, Frame
 from touchd.drivers.pad.format import PRESETS, PadFormat, as_yaml
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import SensorError, open_port
@@ -33,12 +33,17 @@ from touchd.drivers.search.search import Finding, search
 TOUCHED = stream_of(next(iter(RECORDINGS)))
 
 
+def stands_still(counts: Counts, sensor_ms: int) -> bytes:
+    return encode_fabric_grid(counts, 7)
+
+
 @pytest.mark.parametrize(
     ("encode", "found", "advice"),
     [
         (as_8x8, "no frame of fabric-grid 10x10 in", "say --grid ROWSxCOLUMNS"),
         (encode_csv_line, "bytes/s of text, such as", "press"),
         (silence, "no data", "reset button"),
+        (stands_still, "their clock stands still or jumps", "the milliseconds since its start"),
     ],
 )
 def test_a_line_without_frames_is_recognised(
@@ -92,6 +97,16 @@ def test_a_wrong_baud_rate_is_not_taken_for_another_pad() -> None:
     rest = np.zeros((3000, 8, 8), np.uint16)
     pad = pad_read_too_fast(rest, termios.B115200, PRESETS["velostat"])
     assert protocol_of(pad, SensorSettings(format="velostat")).advice == "set sensor.baud: 115200"
+
+
+def test_listening_counts_cut_values_and_keeps_few_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("touchd.daemon.doctor.check.MOST_BYTES", 1000)
+    described = replace(SETTINGS.sensor.described, full_scale=500)
+    with pad_of(resting(60.0), speed=9.0) as pad, open_port(pad.path, 512_000) as opened:
+        seen = listen(opened, FrameParser(described), 0.5)
+    assert len(seen.frames) > 20
+    assert sum(len(chunk.data) for chunk in seen.chunks) <= 1000
+    assert seen.clipped == 1.0
 
 
 def test_a_pad_unplugged_while_listening_is_reported() -> None:

@@ -157,6 +157,19 @@ def test_a_recording_that_does_not_show_its_gesture_is_reported(
         )
 
 
+@pytest.mark.parametrize(
+    ("touch", "found"),
+    [
+        (None, ["no touch began and ended within 8 s"]),
+        ((100, 2600), ["that took 2.5 s; once is enough"]),
+        ((2**32 - 100, 900), []),
+    ],
+)
+def test_a_gesture_made_once_has_to_end_soon(touch: tuple[int, int] | None, found: list[str]) -> None:
+    once = replace(captured(0.0), touch=touch)
+    assert complaints(once, "pat", ["broken"], is_single=True) == ["broken", *found]
+
+
 @pytest.mark.parametrize(("columns", "width"), [(30, 40), (60, 60), (200, 80)])
 def test_text_is_as_wide_as_the_terminal_within_reason(
     monkeypatch: pytest.MonkeyPatch, columns: int, width: int
