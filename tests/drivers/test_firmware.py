@@ -4,14 +4,23 @@ import re
 import shutil
 import subprocess
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rigs.formats import FabricGrid
-from rigs.mega_rig import FIRMWARE, Board, Run, build, build_board, compiler_missing, simulator_missing
-from rigs.pad_circuit import SUPPLY_V, column_volts, pad, pressure
+from rigs.mega_rig import (
+    FIRMWARE,
+    SKETCH,
+    Board,
+    Run,
+    build,
+    build_board,
+    compiler_missing,
+    simulator_missing,
+)
 
 from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT, Frame
 
@@ -125,14 +134,6 @@ def test_a_slow_line_skips_scans_and_keeps_the_clock(board: MakeBoard) -> None:
         np.testing.assert_array_equal(frame.pressure, MAX_COUNT - picture[1:9, 1:9])
 
 
-def test_a_pad_of_resistors_reads_as_the_circuit_predicts(board: MakeBoard) -> None:
-    volts = column_volts(pad((3, 4), (6, 2)))
-    raw = (volts / SUPPLY_V * MAX_COUNT).astype(np.uint16)
-    (frame, *_) = FabricGrid().feed(board().run(raw[None], 0.1).sent, 0.0)
-    np.testing.assert_allclose(frame.pressure, pressure(volts)[1:9, 1:9], atol=1.0)
-    assert (frame.pressure > 200).sum() == 2
-
-
 @pytest.mark.skipif(shutil.which("c++") is None, reason="no C++ compiler")
 def test_a_teensy_gives_the_same_frames(folder: Path, size: int) -> None:
     program = folder / f"teensy-{size}"
@@ -146,3 +147,34 @@ def test_a_teensy_gives_the_same_frames(folder: Path, size: int) -> None:
     row, column = np.mgrid[1:9, 1:9] if size == 10 else np.mgrid[0:8, 0:8]
     for scan, frame in enumerate(frames):
         np.testing.assert_array_equal(frame.pressure, MAX_COUNT - (100 * row + 10 * column + scan % 10))
+
+
+def pins(name: str) -> list[str]:
+    found = re.search(rf"{name}\[\] = {{(.*?)}}", SKETCH.read_text())
+    assert found is not None
+    return found[1].split(", ")
+
+
+def words_of(picture: str) -> list[str]:
+    """Return the text of a picture in drawing order."""
+    return re.findall(r">([^<>]+)</text>", (FIRMWARE / picture).read_text())
+
+
+@pytest.mark.parametrize("picture", ["wiring-mega.svg", "wiring-teensy.svg"])
+def test_the_wiring_pictures_show_the_pins_of_the_sketch(picture: str) -> None:
+    words = words_of(picture)
+    pairs = list(pairwise(words))
+    for number, pin in enumerate(pins("ROW_PINS"), 1):
+        # Once at the pad, once at the board.
+        assert pairs.count((pin, f"row {number}")) == 2
+    on_board = "{pin}, column {number}" if "teensy" in picture else "column {number}"
+    for number, pin in enumerate(pins("COLUMN_PINS"), 1):
+        socket = str(13 + number) if "teensy" in picture else pin
+        assert (pin, str(number)) in pairs
+        assert (socket, on_board.format(pin=pin, number=number)) in pairs
+
+
+def test_the_mega_picture_shows_its_resistors() -> None:
+    words = words_of("wiring-mega.svg")
+    assert "100 Ω" in words
+    assert "3.3 kΩ from each" in words
