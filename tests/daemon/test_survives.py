@@ -195,11 +195,6 @@ def numbers(path: Path) -> list[int]:
     return [kept.began.touch for kept in read_journal(path)]
 
 
-def test_one_bad_line_does_not_hide_the_others(path: Path) -> None:
-    path.write_bytes(encode(touch(1)) + b"\n\x00\xff no event\n" + encode(touch(2)) + b"\n")
-    assert numbers(path) == [1, 2]
-
-
 # A deeply nested line, invalid times, times and numbers too large for a file format, and undecodable bytes.
 BAD_LINES = [
     b'{"type":"touch_began","touch":' + b"[" * 20_000 + b"]" * 20_000 + b"}",

@@ -147,17 +147,6 @@ def test_a_file_has_provenance_and_no_persons_name(bench: StoreBench) -> None:
     assert {touch.participant, touch.substrate, touch.cover, touch.gesture} == {UNLABELLED}
 
 
-def test_frames_after_an_unreleased_touch_are_not_quiet(bench: StoreBench) -> None:
-    bench.feel(palm(1.2))
-    bench.clock_ms += 400
-    bench.feel(palm(0.5))
-    first, second = map(read_frames, bench.end())
-    assert [end.reason for end in bench.ended()] == ["gap", "stopped"]
-    assert first.after is None
-    assert len(first.touch.counts) == 65
-    assert second.before is None or second.before.counts.max() < 12
-
-
 def test_a_touch_over_a_clock_wrap_has_one_clock(store: TouchStore) -> None:
     bench = StoreBench(store, clock_ms=2**32 - 2000)
     bench.feel(palm(1.5), nothing(1.0))

@@ -17,7 +17,6 @@ pytest.importorskip("torch", reason="needs the extra `train`")
 pytestmark = [pytest.mark.timeout(300), pytest.mark.usefixtures("one_thread")]
 
 import torch  # noqa: E402
-from rigs.programs import ran  # noqa: E402
 
 from touchd.daemon.app import cli  # noqa: E402
 from touchd.daemon.app.config import load  # noqa: E402
@@ -56,7 +55,6 @@ SETTINGS = AdaptSettings(crops=2, steps=20)
 # For tests of labels and figures, for which it does not matter what is learnt.
 HARDLY = replace_in(SETTINGS, steps=1)
 SECONDS = 3.0
-TESTS = Path(__file__).parents[1]
 
 
 def simulated(
@@ -166,45 +164,6 @@ def test_the_file_names_gestures_and_origin_but_no_person(adapted_file: Path) ->
     assert str(adapted_file.parent).encode() not in content
 
 
-KILL_WHILE_WRITING = """
-import errno, os, sys
-from pathlib import Path
-import torch
-from rigs.kills import killed_everywhere
-from touchd.model.adapt.adapt import Adapted, Pretrained
-from touchd.model.adapt.head import AdaptSettings
-from touchd.model.adapt.measure import Comparison
-from touchd.model.adapt.ship import write
-from touchd.model.classifier import Classifier
-
-output = Path(sys.argv[1], "lab.onnx")
-pretrained = Pretrained.shipped()
-comparison = Comparison(left_out="participants", participants=1, lengths=[])
-adapted = Adapted(
-    pretrained.labels, pretrained.labels, (), pretrained.head, pretrained.temperatures, comparison
-)
-if sys.argv[2] == "no links":
-    os.link = lambda *_: (_ for _ in ()).throw(OSError(errno.EPERM, "no links on this disk"))
-found = set()
-for place in killed_everywhere(output.parent, lambda: write(pretrained, adapted, output, AdaptSettings())):
-    found.add(output.exists())
-    if output.exists():
-        Classifier.load(output)
-        output.unlink()
-    print(place)
-assert found == {False, True}, found
-assert sorted(path.name for path in output.parent.iterdir()) == ["lab.onnx"]
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("disk", ["links", "no links"])
-def test_a_kill_while_writing_leaves_a_whole_model_or_none(tmp_path: Path, disk: str) -> None:
-    done = ran([sys.executable, "-c", KILL_WHILE_WRITING, str(tmp_path), disk], cwd=TESTS)
-    assert done.returncode == 0, done.stderr
-    assert len(done.stdout.splitlines()) > 8
-
-
 @pytest.mark.parametrize("file", ["Labor Müller (2).onnx", "ö.onnx", f"{'long' * 40}.onnx"])
 def test_a_file_may_have_any_name(file: str) -> None:
     assert msgspec.convert(model_name(Path(file)), Name)
@@ -237,18 +196,6 @@ def test_touchd_classify_answers_with_the_new_gesture(
     assert answers[0]["model"] == "lab"
     ended = [event["gesture"] for event in events if event["type"] == "touch_ended"]
     assert ended == ["hug", "pat"]
-
-
-def test_a_dropped_gesture_is_refused_in_the_scene(
-    adapted_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    config = tmp_path / "touchd.yaml"
-    config.write_text(f"model: {adapted_file}\nscene: {{gestures: [tickle]}}\n")
-    assert cli.main(["run", "-c", str(config)]) == 2
-    assert (
-        "tickle is not a gesture of the model lab; it knows hug, other, pat, scratch, stroke"
-        in capsys.readouterr().err
-    )
 
 
 @pytest.mark.parametrize(
@@ -323,18 +270,6 @@ def test_known_gestures_keep_their_weights(pretrained: Pretrained) -> None:
     assert torch.equal(head[-1].weight[1], pretrained.head[-1].weight[known.index("pat")])
     assert torch.equal(head[-1].bias[2], pretrained.head[-1].bias[known.index("notouch")])
     assert torch.allclose(head[-1].weight[0], pretrained.head[-1].weight.mean(dim=0))
-
-
-def test_fewer_recordings_change_the_network_less(pretrained: Pretrained, material: Features) -> None:
-    labels = tuple(sorted(DONE))
-    begin = rebuilt(pretrained.head, pretrained.labels, labels)
-    remembered = pretrained.remembered.samples(labels, seed=0)
-
-    def moved(shown: range) -> float:
-        head = fit(begin, labels, ["hug"], material.shown.of(shown), remembered, SETTINGS)
-        return float((weights(head) - weights(begin)).norm())
-
-    assert moved(range(5)) < moved(range(20))
 
 
 def test_a_gesture_without_recordings_is_not_forgotten(pretrained: Pretrained, material: Features) -> None:
