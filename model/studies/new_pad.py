@@ -166,7 +166,7 @@ def two_gestures_more(folders: Folders, runs: Path, settings: AdaptSettings) -> 
 
 def tables(measured: Measured) -> dict[str, str]:
     """Return the page's tables by their places."""
-    rows: list[tuple[object, ...]] = [("nobody, as shipped", *map(_percent, measured.untaught))]
+    rows: list[tuple[object, ...]] = [("nobody", *map(_percent, measured.untaught))]
     for count, draws in groupby(measured.learnt, lambda learnt: len(learnt.people)):
         after = np.array([learnt.after for learnt in draws]).mean(axis=0)
         rows.append((count, *map(_percent, after)))
