@@ -194,9 +194,9 @@ class ActWorker(Worker[Sequence[Act]]):
 def client_of(settings: RobotSettings) -> OpenSession:
     """Return what reaches the robot, with its login checked; raises RobotError."""
     if settings.user is not None:
-        from touchd.drivers.robot.login import check_login
+        from touchd.drivers.robot.login import read_token
 
-        check_login(settings)
+        read_token(settings)
     if settings.client == "touchd":
         return WireSession
     from touchd.drivers.robot.qi_session import QiSession, load_qi

@@ -12,18 +12,8 @@ from touchd.drivers.robot.session import RobotError, RobotLost, RobotSettings
 MOST_TOKEN_BYTES = 4096
 
 
-def check_login(settings: RobotSettings) -> None:
-    """Raise RobotError with one line if there is no token in its file, or anybody might get it."""
-    read_token(settings)
-    if not (settings.certificate or settings.trust_network):
-        raise RobotError(
-            f"robot {settings.url}: whoever answers there would get the token; set robot.certificate to the "
-            "robot's, which touchd doctor shows, or robot.trust_network: true if nobody else can answer"
-        )
-
-
 def read_token(settings: RobotSettings) -> str:
-    """Return the token; raises RobotError with one line."""
+    """Return the token; raises RobotError with one line if it cannot be read, or if anybody might get it."""
     path = str(settings.token_file)
     try:
         # A pipe that nobody writes to must not hold the daemon up.
@@ -36,6 +26,11 @@ def read_token(settings: RobotSettings) -> str:
     if not 0 < len(token) <= MOST_TOKEN_BYTES:
         raise RobotError(
             f"robot.token_file {path} is empty or missing, or larger than 4096 bytes, so no token"
+        )
+    if not (settings.certificate or settings.trust_network):
+        raise RobotError(
+            f"robot {settings.url}: whoever answers there would get the token; set robot.certificate to the "
+            "robot's, which touchd doctor shows, or robot.trust_network: true if nobody else can answer"
         )
     return token
 

@@ -8,7 +8,7 @@ from contextlib import suppress
 from typing import Any, TypeAlias
 
 from touchd.drivers import hosts
-from touchd.drivers.errors import TouchdError, one_line, reason
+from touchd.drivers.errors import MAX_LINE_BYTES, TouchdError, one_line, reason
 from touchd.drivers.robot.session import ADVICE, RobotLimits, RobotLost, RobotRefused, RobotSettings, Wait
 from touchd.drivers.robot.values import read, write
 
@@ -81,7 +81,7 @@ class Connection:
         try:
             if kind == REPLY:
                 return read(returns, answer)
-            why = str(read("m", answer)) if kind == ERROR else "canceled"
+            why = str(read("m", answer))[:MAX_LINE_BYTES] if kind == ERROR else "canceled"
         except ValueError as error:
             why = f"the answer cannot be read ({error})"
         raise RobotRefused(one_line(" ".join(f"{wait.what}: {why}".split())))
