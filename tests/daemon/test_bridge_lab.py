@@ -6,6 +6,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -89,6 +90,17 @@ def test_lsl_frames_carry_their_arrival_time_within_2_ms(tmp_path: Path) -> None
     np.testing.assert_array_equal(pulled[5][0], frame(5).pressure.ravel())
     for (_, stamped_s), (first_s, last_s) in zip(pulled, arrived, strict=True):
         assert first_s - 0.002 < stamped_s < last_s + 0.002
+
+
+def test_a_frame_that_waited_too_long_is_not_published(tmp_path: Path) -> None:
+    pytest.importorskip("pylsl")
+    with closing(LslPeer(tmp_path)) as peer:
+        bridge = peer.bridge()
+        inlet = inlet_of(f"{peer.name}-{PAD}-pressure", threading.Event())
+        wait_for(bridge._peer_is_there.is_set)
+        for number, ago_s in ((1, 10.0), (2, 0.0)):
+            bridge.put_frame(frame(number, time.monotonic() - ago_s), PAD)
+        np.testing.assert_array_equal(inlet.pull_sample(timeout=WITHIN_S)[0], frame(2).pressure.ravel())
 
 
 def test_lsl_markers_carry_the_events_time(tmp_path: Path) -> None:
