@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rigs import attackers
@@ -27,6 +28,8 @@ KINDS = {
 ALL = [pytest.param(kind, marks=marks) for kind, (_, _, marks) in KINDS.items()]
 # Those that know whether their peer is there, and that whose peer acknowledges each event.
 CONNECTING, ACKNOWLEDGED = [ALL[0], ALL[3]], [ALL[0]]
+# Those with a process of their own.
+APART = [ALL[1], ALL[2]]
 # How long a daemon that ends waits for its sinks, and time that a busy machine may need beside it.
 STOP_S, BUSY_S = 2.0, 3.0
 
@@ -79,6 +82,17 @@ def test_events_arrive_in_order_and_again_after_the_peer_died(peer: Peer) -> Non
         wait_for(lambda: len(numbers(peer)) >= 9)
         assert numbers(peer) == list(range(1, 10))
         peer.stop()
+
+
+@pytest.mark.parametrize("peer", APART, indirect=True)
+def test_a_process_that_ended_is_started_again(peer: Peer) -> None:
+    bridge: Any = peer.bridge()
+    wait_for(bridge._peer_is_there.is_set)
+    ended = bridge._process
+    ended.kill()
+    wait_for(lambda: bridge._process is not ended)
+    peer.start()
+    put_until_received(peer, bridge)
 
 
 @pytest.mark.parametrize("peer", ACKNOWLEDGED, indirect=True)
