@@ -65,10 +65,6 @@ class Worker(ABC, Generic[Item]):
     def end(self, session: RobotSession) -> None:
         """Clean up on the robot before the session is closed."""
 
-    def ask(self, session: RobotSession) -> None:
-        """Ask the robot anything, to see whether it answers."""
-        session.call("ALSystem", "systemVersion", limit_s=self._limits.call_s)
-
     def start(self) -> None:
         self._thread.start()
 
@@ -130,7 +126,7 @@ class Worker(ABC, Generic[Item]):
     def _heartbeat(self, session: RobotSession) -> None:
         # An error is an answer too: only silence means that the robot hangs.
         with suppress(RobotRefused):
-            self.ask(session)
+            session.call("ALSystem", "systemVersion", limit_s=self._limits.call_s)
 
     def _handle_next(self, session: RobotSession) -> bool:
         """Handle the oldest item that is not stale; returns whether the robot was called."""

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from rigs.call_log import CallLog
-from rigs.robots import DETAIL, GESTURE, STATUS, States, linked, login_in, message, say
+from rigs.robots import DETAIL, GESTURE, STATUS, States, linked, login_in, message
 from rigs.stub_robot import StubRobot
 from rigs.wait import wait_for
 
@@ -173,14 +173,6 @@ def test_a_link_that_does_not_end_is_logged_and_left(caplog: pytest.LogCaptureFi
     goes_on.set()
     assert "the link to the robot did not end within 0.05 s" in caplog.messages
     link.stop()
-
-
-def test_acts_need_a_link_that_was_made_for_them() -> None:
-    with robot_and_link(acts=True) as (_, link, calls, _):
-        link.act([say("a"), say("b")])
-        wait_for(lambda: calls.said() == ["a", "b"])
-    with pytest.raises(AssertionError, match="without acts"):
-        RobotLink(RobotSettings(url=URL), open_session=StubRobot().open_session).act([say("a")])
 
 
 @pytest.mark.parametrize(

@@ -39,18 +39,7 @@ def test_a_silent_listener_is_down_and_can_be_disconnected(client: str) -> None:
         assert time.monotonic() - started_s < AT_ONCE_S
 
 
-EXIT_STATES = (
-    "up",
-    "busy",
-    "refused",
-    "killed",
-    "hung",
-    "hung-connect",
-    "mute",
-    "tls",
-    "wrong-token",
-    "forgotten",
-)
+EXIT_STATES = "up busy refused killed hung hung-connect mute tls wrong-token forgotten"
 
 
 def _exits_cleanly(state: str) -> str:
@@ -60,14 +49,13 @@ def _exits_cleanly(state: str) -> str:
     return "" if (done.returncode, done.stdout, done.stderr) == (0, "", "") else f"{state}: {done}"
 
 
-@pytest.mark.parametrize("state", ["hung", pytest.param("busy", marks=pytest.mark.slow)])
-def test_a_program_with_a_link_ends_cleanly(state: str) -> None:
-    assert _exits_cleanly(state) == ""
+def test_a_program_with_a_hung_robot_ends_cleanly() -> None:
+    assert _exits_cleanly("hung") == ""
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize("state", EXIT_STATES)
+@pytest.mark.parametrize("state", EXIT_STATES.split())
 def test_fifty_of_fifty_programs_end_cleanly_in_every_state(state: str) -> None:
     with ThreadPoolExecutor(2) as pool:
         assert [trouble for trouble in pool.map(_exits_cleanly, [state] * 50) if trouble] == []
