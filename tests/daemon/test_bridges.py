@@ -93,6 +93,7 @@ def test_a_process_that_ended_is_started_again(peer: Peer) -> None:
     wait_for(lambda: bridge._process is not ended)
     peer.start()
     put_until_received(peer, bridge)
+    peer.stop()
 
 
 @pytest.mark.parametrize("peer", ACKNOWLEDGED, indirect=True)
