@@ -7,7 +7,7 @@ import socket
 
 from touchd.drivers import hosts
 
-ADDRESS = re.compile(r"(tcp|udp)://(\[[^\s\]]+\]|[^\s/:?]+)(?::(\d{0,5}))?", re.IGNORECASE)
+ADDRESS = re.compile(r"(tcp|udp)://(\[[^\s\]]+\]|[^\s/:?]+)(?::(\d{0,5}))?")
 CONNECT_S = 3.0
 MAX_BYTES = 65536
 
@@ -19,7 +19,7 @@ def address_of(port: str) -> tuple[str, str, int]:
         raise ValueError(f"lacks its port; write it as in {port.strip().rstrip(':')}:4000")
     if match is None or int(match[3]) > 65535:
         raise ValueError("not an address such as tcp://192.168.1.20:4000 or udp://0.0.0.0:4000")
-    return match[1].lower(), match[2].strip("[]"), int(match[3])
+    return match[1], match[2].strip("[]"), int(match[3])
 
 
 class NetworkPort:

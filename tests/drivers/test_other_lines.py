@@ -16,6 +16,7 @@ from touchd.drivers.frame import Frame
 from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import SensorError, check_port, open_port, read_waiting
+from touchd.drivers.pad.sensor import FrameQueue, Sensor
 
 STREAM = stream_of(400)
 PACKETS = list(map(encode_fabric_grid, STREAM.counts, STREAM.sensor_ms.tolist()))
@@ -81,6 +82,23 @@ def test_a_lost_datagram_loses_only_its_frame() -> None:
             frames += parser.feed(read_waiting(opened, parser), time.monotonic())
     assert_played(frames, STREAM, kept)
     assert parser.counts.bad == 60 - len(kept)
+
+
+def test_a_quiet_udp_pad_is_read_as_fast_as_it_sends() -> None:
+    queue = FrameQueue()
+    with udp_pad() as (address, give):
+        sensor = Sensor(address, 0, FabricGrid(), queue)
+        sensor.frames_together = 3
+        sensor.start()
+        for packet in PACKETS[:120]:
+            give(packet)
+            time.sleep(0.01)
+        sent_s = time.monotonic()
+        while (frame := next_frames(queue, 1)[0]).sensor_ms != STREAM.sensor_ms[119]:
+            pass
+        sensor.stop()
+    # At a datagram for each rest of three frames, the last ones would come five seconds late.
+    assert frame.host_s - sent_s < 2.5
 
 
 def test_datagrams_are_passed_on_at_once_and_empty_ones_ignored() -> None:
