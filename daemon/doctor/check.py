@@ -83,7 +83,7 @@ def listen(
         try:
             data = read_waiting(opened, parser)
         except SensorError as error:
-            broke_off, advice = str(error), advice_for(str(opened.port), error) or "try another cable"
+            broke_off, advice = str(error), advice_for(str(opened.port), error)
             break
         now_s = time.monotonic()
         arrived = parser.feed(data, now_s)

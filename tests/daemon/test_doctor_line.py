@@ -4,6 +4,7 @@ import grp
 import os
 import pwd
 import termios
+import time
 from collections.abc import Callable
 from functools import partial
 from unittest.mock import Mock
@@ -15,7 +16,7 @@ from rigs.doctor_rig import SETTINGS, pad_at_baud, pad_of, pad_read_too_fast, re
 from rigs.expectations import RECORDINGS, stream_of
 from rigs.formats import encode_csv_line, encode_fabric_grid
 from rigs.line_faults import Faults
-from rigs.sensor_rig import Encode, as_8x8, silence
+from rigs.sensor_rig import Encode, as_8x8, noise, silence
 from rigs.wait import once_in_three
 
 from touchd.daemon.app.config import SensorSettings
@@ -99,14 +100,25 @@ def test_a_wrong_baud_rate_is_not_taken_for_another_pad() -> None:
     assert protocol_of(pad, SensorSettings(format="velostat")).advice == "set sensor.baud: 115200"
 
 
-def test_listening_counts_cut_values_and_keeps_few_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
+def after_garbage(counts: Counts, sensor_ms: int) -> bytes:
+    return (b"" if sensor_ms else b"\x55" * 500) + encode_fabric_grid(counts, sensor_ms)
+
+
+def test_listening_counts_from_the_first_frame_and_keeps_few_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("touchd.daemon.doctor.check.MOST_BYTES", 1000)
     described = replace(SETTINGS.sensor.described, full_scale=500)
-    with pad_of(resting(60.0), speed=9.0) as pad, open_port(pad.path, 512_000) as opened:
+    with pad_of(resting(60.0), after_garbage, speed=9.0) as pad, open_port(pad.path, 512_000) as opened:
         seen = listen(opened, FrameParser(described), 0.5)
     assert len(seen.frames) > 20
     assert sum(len(chunk.data) for chunk in seen.chunks) <= 1000
-    assert seen.clipped == 1.0
+    assert (seen.damaged, seen.clipped) == (0, 1.0)
+
+
+def test_listening_to_noise_ends_soon_after_its_first_bytes() -> None:
+    with pad_of(resting(60.0), noise) as pad, open_port(pad.path, 512_000) as opened:
+        begun_s = time.monotonic()
+        assert listen(opened, FrameParser(SETTINGS.sensor.described), 0.2, start_s=60.0).chunks
+        assert time.monotonic() - begun_s < 30.0
 
 
 def test_a_pad_unplugged_while_listening_is_reported() -> None:
