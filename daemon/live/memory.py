@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.daemon.app.config import Settings
+from touchd.daemon.path.decide import REVISE_MARGIN
 from touchd.daemon.path.events import (
     UNCERTAIN,
     Event,
@@ -145,7 +146,7 @@ class Memory:
             "frame_rate_hz": FRAME_RATE_HZ,
             "model": model.name if model else "",
             "speak_above": scene.speak_above,
-            "revise_margin": scene.revise_margin,
+            "revise_margin": REVISE_MARGIN,
             "names": {label: name_of(words, label) for label in (*labels, UNCERTAIN)},
             # The words for each gesture when nothing is sure.
             "guesses": {label: _guess(words, label) for label in set(labels) - {NO_TOUCH}},

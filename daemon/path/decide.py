@@ -27,6 +27,8 @@ SURE_FALLS = 0.2
 # The final answer, and the answer to an ended touch, are told from these confidences on. They are lower than
 # speak_above, as waiting helps no more; docs/decision.md has their curves.
 FINAL_ABOVE = 0.4
+# By how much a new answer must be surer than the one that the robot was told, to replace it.
+REVISE_MARGIN = 0.1
 # "No touch" counts this much in the answer to an ended touch: the tracker has followed it from its first to
 # its last contact. Without this, one light touch in a hundred more is not named.
 ENDED_NOTOUCH = 0.15
@@ -54,7 +56,6 @@ class DecisionSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     early: Literal["at_mark", "when_sure"] = "at_mark"
     speak_above: Probability = 0.65
     final_above: Probability = FINAL_ABOVE
-    revise_margin: Probability = 0.1
     stale_s: Annotated[float, msgspec.Meta(ge=0.001, le=60)] = 2.0
 
     def __post_init__(self) -> None:
@@ -80,14 +81,17 @@ class Decision:
     """One touch: which answer stands, what the robot was told, and when to tell it.
 
     Until an answer is told, the most probable gesture stands. It is told once its probability reaches the
-    stage's limit. A told answer is replaced only by a gesture that is now more probable by `revise_margin`
+    stage's limit. A told answer is replaced only by a gesture that is now more probable by REVISE_MARGIN
     and reaches that limit too; otherwise it stands, and is not told again. "notouch" may stand, but it is
     never told and never replaces a told answer. A touch without a told gesture is answered as "uncertain",
     once, at its final answer or at its end; a later answer that is sure replaces it.
     """
 
-    def __init__(self, settings: DecisionSettings, labels: tuple[str, ...]) -> None:
+    def __init__(
+        self, settings: DecisionSettings, labels: tuple[str, ...], revise_margin: float = REVISE_MARGIN
+    ) -> None:
         self._settings = settings
+        self._revise_margin = revise_margin
         self._labels = labels
         occurs = {*told_in(settings.gestures, labels), NO_TOUCH}
         self._occurs = [label in occurs for label in labels]
@@ -132,7 +136,7 @@ class Decision:
         if stage == "uncertain" or scene[best] < self._limit(stage):
             return False
         return self.told is None or (
-            best != self.told and scene[best] - scene[self.told] >= self._settings.revise_margin
+            best != self.told and scene[best] - scene[self.told] >= self._revise_margin
         )
 
     def _is_doubt(self, stage: Stage, best: str, scene: dict[str, float]) -> bool:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
-from touchd.daemon.path.decide import FINAL_ABOVE, Decision, DecisionSettings, sure_above
+from touchd.daemon.path.decide import FINAL_ABOVE, REVISE_MARGIN, Decision, DecisionSettings, sure_above
 from touchd.daemon.path.events import UNCERTAIN, Stage
 from touchd.daemon.path.pipeline import STAGES, PipelineSettings
 from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT
@@ -41,7 +41,7 @@ REST_FRAMES = 60
 """Notouch before a touch; the tracker learns the rest in half a second."""
 MARKS = DecisionSettings().answer_at_frames
 SPEAK_ABOVE = (0.4, 0.5, 0.55, 0.6, 0.65, 0.7, 0.75, 0.8, 0.85, 0.9)
-REVISE_MARGIN = (0.1, 0.2, 0.3, 0.4, 0.5)
+MARGINS = (0.1, 0.2, 0.3, 0.4, 0.5)
 """A margin below a tenth would let noise revise an answer."""
 EARLIEST_FRAMES = 9
 """The first frame at which the challenge's windows are answered, about a sixth of a second."""
@@ -186,7 +186,7 @@ class Measured(msgspec.Struct, frozen=True, kw_only=True):
     def default(self) -> Point:
         """The point with the default settings, on HAART."""
         settings = DecisionSettings()
-        pair = settings.speak_above, settings.revise_margin
+        pair = settings.speak_above, REVISE_MARGIN
         return next(p for p in self.studies[HAART].curve if (p.speak_above, p.revise_margin) == pair)
 
 
@@ -246,7 +246,7 @@ def figures_of(streams: Streams) -> StudyFigures:
         people=len(set(streams.participants)),
         touches=len(streams.truth),
         stages=tuple(stage_figures(streams, *each) for each in zip(STAGES, MARKS, strict=True)),
-        curve=tuple(point(streams, *pair) for pair in product(SPEAK_ABOVE, REVISE_MARGIN)),
+        curve=tuple(point(streams, *pair) for pair in product(SPEAK_ABOVE, MARGINS)),
         final=tuple(at_final(streams, limit) for limit in FINAL),
         choices=tuple(choice(streams, each) for each in settings),
     )
@@ -264,7 +264,7 @@ def stage_figures(streams: Streams, stage: Stage, frames: int) -> StageFigures:
 
 def point(streams: Streams, speak_above: float, revise_margin: float) -> Point:
     """Return what the robot would be told under one pair of settings."""
-    told = tell(streams, DecisionSettings(speak_above=speak_above, revise_margin=revise_margin))
+    told = tell(streams, DecisionSettings(speak_above=speak_above), revise_margin)
     early = [t.right[0] for t in told if t.answers and t.answers[0][0] == "early"]
     return Point(
         speak_above=speak_above,
@@ -301,11 +301,11 @@ def choice(streams: Streams, settings: DecisionSettings) -> Choice:
     )
 
 
-def tell(streams: Streams, settings: DecisionSettings) -> list[Told]:
+def tell(streams: Streams, settings: DecisionSettings, revise_margin: float = REVISE_MARGIN) -> list[Told]:
     """Return what the daemon's decision would tell the robot of each touch."""
     told = []
     for outputs, truth, detected in zip(streams.probabilities, streams.truth, streams.detected, strict=True):
-        decision = Decision(settings, streams.labels)
+        decision = Decision(settings, streams.labels, revise_margin)
         due = dict(zip(settings.answer_at_frames, STAGES, strict=True))
         answers = []
         asked = range(1, FRAMES + 1) if decision.may_be_early else settings.answer_at_frames

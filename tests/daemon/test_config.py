@@ -92,7 +92,7 @@ def test_the_example_shows_the_defaults(tmp_path: Path) -> None:
     assert shown.touch == default.touch
     assert shown.sensor.described == default.sensor.described
     assert (shown.sensor.port, shown.sensor.baud) == (default.sensor.port, default.sensor.baud)
-    for name in ("answer_at_frames", "early", "speak_above", "revise_margin", "stale_s"):
+    for name in ("answer_at_frames", "early", "speak_above", "stale_s"):
         assert getattr(shown.scene, name) == getattr(default.scene, name)
 
 

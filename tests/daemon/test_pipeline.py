@@ -712,7 +712,7 @@ SEEDS = [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2,
 def test_every_touch_is_answered_ended_and_told_once(seed: int) -> None:
     rng = np.random.default_rng(seed)
     emitted: list[Event] = []
-    scene = DecisionSettings(speak_above=rng.uniform(), revise_margin=rng.uniform(0, 0.5))
+    scene = DecisionSettings(speak_above=rng.uniform())
     pipeline = Pipeline(PipelineSettings(decision=scene), Fickle(rng), emitted.append, STOPPED)
     pad, clock_ms, rate_hz = MadePad(seed), 0.0, rng.choice([30, 50, 54, 60, 100])
     for _ in range(30):
