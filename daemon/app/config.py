@@ -26,7 +26,7 @@ from touchd.daemon.bridges.settings import (
 )
 from touchd.daemon.path.decide import DecisionSettings
 from touchd.daemon.path.pipeline import PipelineSettings
-from touchd.daemon.path.tracker.tracker import TouchSettings
+from touchd.daemon.path.tracker import TouchSettings
 from touchd.daemon.robot.actions import ActionRule, Name
 from touchd.drivers.errors import TouchdError, written_out
 from touchd.drivers.frame import DEFAULT_PAD, ROWS
@@ -201,8 +201,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     @property
     def pipeline(self) -> PipelineSettings:
-        size_mm, is_finer = self.sensor.size_mm, max(self.sensor.described.used) > ROWS
-        return PipelineSettings(touch=self.touch, decision=self.scene, size_mm=size_mm, is_finer=is_finer)
+        return PipelineSettings(touch=self.touch, decision=self.scene, size_mm=self.sensor.size_mm)
 
 
 def load(path: Path) -> Settings:

@@ -26,6 +26,7 @@ from touchd.drivers.pad.port import SensorError, check_port
 from touchd.drivers.pad.sensor import FrameQueue, Sensor
 from touchd.drivers.queue import Signal
 from touchd.model.classifier import Classifier, load_own
+from touchd.model.detector import Detector
 
 if typing.TYPE_CHECKING:
     from touchd.daemon.live.server import LiveServer
@@ -77,12 +78,12 @@ def make_parts(
     """
     check_pad(settings)
     models = load_models(settings)
-    pads = []
-    for number, (name, pad) in enumerate(settings.pads.items()):
+    detector, pads = Detector.load(), []
+    for name, pad in settings.pads.items():
         queue = FrameQueue(filled=arrived)
         sensor = Sensor(pad.sensor.port, pad.sensor.baud, FrameParser(pad.sensor.described), queue)
         monitor = PadMonitor(name, sensor.parser)
-        pipeline = Pipeline(pad.pipeline, models[name], emit, None, name, viewers, number, monitor)
+        pipeline = Pipeline(pad.pipeline, models[name], emit, None, name, viewers, monitor, detector)
         pads.append(PadChannel(name, models[name], queue, sensor, pipeline))
     return _with_sinks(tuple(pads), settings, models, emit)
 

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from touchd.daemon.app.config import Settings
 from touchd.daemon.doctor.check import Check, Sample, Verdict
 from touchd.daemon.path.monitor import FAULTS, STILL_S, TaxelFaults, places
-from touchd.daemon.path.tracker.baseline import MAX_DEVIATION_COUNTS
-from touchd.daemon.path.tracker.tracker import Onset, TouchTracker
+from touchd.daemon.path.tracker import Onset, TouchTracker
 from touchd.drivers.frame import COLUMNS, MAX_COUNT, ROWS, Frame
 from touchd.drivers.pad.clock import steps_ms
 from touchd.drivers.pad.format import as_yaml
 from touchd.drivers.pad.grid import Ring
 from touchd.model.classifier import KNOWN_REST_COUNTS
+from touchd.model.detector import Detector
 
 # In HAART's recordings a taxel at rest reads 2.5 counts on average and 28 at most, with a noise of 0.8.
 WRONG_WAY_COUNTS = 0.75 * MAX_COUNT
@@ -25,6 +25,8 @@ HEALTH_S = STILL_S + 0.5
 PRESSED_COUNTS = 40
 CORNER_ROWS = (0, 1, 6, 7)
 
+# The most noise that an untouched taxel may have.
+MOST_NOISE_COUNTS = 4.0
 # A vibration of the whole pad: a sine of this amplitude that explains half of what the mean varies, and that
 # the lower quarter of the taxels follows at 0.4 of the upper tenth.
 LEAST_SINE_COUNTS, EXPLAINED, QUARTER_SHARE = 0.5, 0.5, 0.4
@@ -59,7 +61,7 @@ def check_rest(sample: Sample, settings: Settings) -> Check:
 
 def check_quiet(sample: Sample, settings: Settings) -> Check:
     """Report whether the daemon would have detected a touch."""
-    ring, tracker = Ring(1), TouchTracker(settings.touch)
+    ring, tracker = Ring(1), TouchTracker(settings.touch, Detector.load())
     laid = (laid for frame in sample.frames for laid in ring.push(frame))
     touches = sum(isinstance(tracker.update(frame), Onset) for frame in laid)
     figures = {"touches": float(touches)}
@@ -67,7 +69,7 @@ def check_quiet(sample: Sample, settings: Settings) -> Check:
         return Check("quiet", "ok", "no touch was detected while the pad was left alone", "", figures)
     advice = (
         "if you did not touch it: look for a loose wire with touchd run --view, "
-        "or raise touch.onset_threshold"
+        "or set touch.sensitivity to low"
     )
     times = "a touch was" if touches == 1 else f"{touches} touches were"
     return Check("quiet", "to do", f"{times} detected while listening", advice, figures)
@@ -80,7 +82,7 @@ def check_noise(sample: Sample) -> Check:
     usual, highest = float(np.median(noise)), float(noise.max())
     figures = {"noise_counts": round(usual, 2), "highest_noise_counts": round(highest, 2)}
     found = f"{usual:.1f} counts a taxel, {highest:.1f} at most"
-    loud = noise > MAX_DEVIATION_COUNTS
+    loud = noise > MOST_NOISE_COUNTS
     supply = "try another USB port or supply, and a cable away from motors; connect the grounds"
     if sine := _vibration(counts, sample):
         verdict: Verdict = "to do" if loud.sum() > ROWS * COLUMNS // 2 else "warning"

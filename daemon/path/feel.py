@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
 
-# A taxel is touched if it rises by at least twice its noise and at least this many counts.
-TOUCHED_COUNTS = 4.0
+# A taxel is touched if it rises by as many deviations of its noise, and at least this many counts.
+TOUCHED_DEVIATIONS, TOUCHED_COUNTS = 4.0, 4.0
 # The centroid is smoothed by this share a frame (4 frames), so that noise adds no path.
 CENTROID_SHARE = 0.25
 # A beat rises from below the first to above the second share of the peak load.
@@ -46,14 +46,14 @@ class Feel(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 class FeelMeter:
     """Follows one touch frame by frame, in bounded memory.
 
-    rest, noise: (64,) counts. size_mm: height and width of the 8x8 taxels.
+    rest, noise: (64,) counts, the noise a deviation. size_mm: height and width of the 8x8 taxels.
     """
 
     def __init__(
         self, rest: NDArray[np.float32], noise: NDArray[np.float32], size_mm: tuple[float, float] | None
     ) -> None:
         self._rest = rest.copy()
-        self._threshold = np.maximum(2 * noise, TOUCHED_COUNTS)
+        self._threshold = np.maximum(TOUCHED_DEVIATIONS * noise, TOUCHED_COUNTS)
         self._has_size = size_mm is not None
         height, width = size_mm or (0.0, 0.0)
         self._pitch_mm = (height / ROWS, width / COLUMNS)

@@ -21,6 +21,7 @@ from touchd.drivers.frame import (
     SensorState,
 )
 from touchd.drivers.pad.parser import FrameParser
+from touchd.model.detector import REST_FRAMES
 
 log = logging.getLogger(__name__)
 
@@ -70,8 +71,8 @@ FAULTS = {
 # has begun, or ended, once ten checks in a row say so: noise that a hand leaves behind lasts three seconds.
 CHECK_MS = 500
 LASTING_CHECKS = 10
-# Rest is measured over as many frames without a gap.
-REST_FRAMES = 27
+# Mean noise above which light touches go unnoticed; a quieter taxel than HAART's counts like one of them.
+USUAL_NOISE_COUNTS, MOST_NOISE_COUNTS = 1.0, 1.4
 # A pad that restarts this often in a minute is degraded.
 OFTEN_RESTARTS, MINUTE_S = 3, 60.0
 # Each taxel of HAART's fabric pad changes at least every 2 s: on a pad with noise, a taxel that stands still
@@ -123,9 +124,9 @@ class PadMonitor:
         self._state = state
         return state
 
-    def on_rest(self, *, is_noisy: bool) -> None:
-        """Take whether the untouched pad is too noisy for light touches; call it while nothing touches it."""
-        self._is_noisy = is_noisy
+    def on_rest(self, noise: NDArray[np.float32]) -> None:
+        """Take the deviation of each of the untouched pad's 64 taxels, in counts."""
+        self._is_noisy = float(np.maximum(noise, USUAL_NOISE_COUNTS).mean()) > MOST_NOISE_COUNTS
 
     def on_frame(self, frame: Frame, *, restarted: bool, is_untouched: bool = True) -> SensorState | None:
         """Take the next frame. restarted: whether the grid restarted with it. is_untouched: by any hand."""

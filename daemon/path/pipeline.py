@@ -27,24 +27,17 @@ from touchd.daemon.path.events import (
 from touchd.daemon.path.feel import FeelMeter
 from touchd.daemon.path.monitor import PadMonitor
 from touchd.daemon.path.staleness import Staleness
-from touchd.daemon.path.tracker.network_check import ASK_FRAMES, Question
-from touchd.daemon.path.tracker.tracker import (
-    CHECK_FRAMES,
-    SETTLED_FRAMES,
-    Onset,
-    Release,
-    TouchSettings,
-    TouchTracker,
-)
+from touchd.daemon.path.tracker import SETTLED_FRAMES, Onset, Question, Release, TouchSettings, TouchTracker
 from touchd.drivers.errors import one_line
 from touchd.drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, NO_TOUCH, Frame, SensorState
 from touchd.drivers.pad.grid import GridFrame, Ring
 from touchd.model.classifier import Classifier, ModelState, as_known
+from touchd.model.detector import REST_FRAMES, Detector
 
 STAGES: tuple[Stage, Stage, Stage] = ("early", "revised", "final")
 # After the final answer the network is asked about the last 0.8 s alone, three times a second while the hand
 # is there. The mean of two such windows shows whether the gesture has changed (docs/sessions.md).
-ONGOING_FRAMES = 42
+ONGOING_FRAMES, ONGOING_STRIDE_FRAMES = 42, 18
 ONGOING_WINDOWS = 2
 # An answer that is due in a silence longer than a pat's lift-off waits until the silence proves to be a pause
 # (then it is included: in HAART 90 % right, 70 without) or the end (then it is excluded: 80 %, 60 with). An
@@ -66,12 +59,11 @@ Viewers: TypeAlias = Callable[[], Sequence[Callable[[LivePrediction], None]]]
 
 
 class PipelineSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Everything between a frame and an event. size_mm: of the 8x8 taxels. is_finer: a pad of more taxels."""
+    """Everything between a frame and an event. size_mm: of the 8x8 taxels."""
 
     touch: TouchSettings = TouchSettings()
     decision: DecisionSettings = DecisionSettings()
     size_mm: tuple[float, float] | None = None
-    is_finer: bool = False
 
 
 @dataclass(frozen=True)
@@ -116,10 +108,9 @@ class Touch:
 class Pipeline:
     """Takes frames and the sensor's states in order, and emits events as they fall due.
 
-    Events depend only on the frames, not on when or how they arrived; their times are the clock's. While
-    nothing touches, the model is asked three times a second. viewers: returns the current viewers, to be
-    called with live predictions. first_index: of the grid; it should differ among pads, so that their
-    networks are asked on different frames. monitor: decides on the pad's state.
+    Events depend only on the frames, not on when or how they arrived; their times are the clock's. detector:
+    the shipped one if None. viewers: returns the current viewers, to be called with live predictions.
+    monitor: decides on the pad's state.
     """
 
     def __init__(
@@ -130,8 +121,8 @@ class Pipeline:
         clock: Clock | None = None,
         pad: str = DEFAULT_PAD,
         viewers: Viewers = tuple,
-        first_index: int = 0,
         monitor: PadMonitor | None = None,
+        detector: Detector | None = None,
     ) -> None:
         self._emit = emit
         self._viewers = viewers
@@ -142,9 +133,9 @@ class Pipeline:
         # When a touch ends, its last frame is already older by the quiet that ended it.
         self._stale_s = settings.decision.stale_s + settings.touch.quiet_s
         self._model = model
-        self._tracker = TouchTracker(settings.touch, _question(model), is_finer=settings.is_finer)
+        self._tracker = TouchTracker(settings.touch, detector or Detector.load(), _question(model))
         # The longest window, and twice what settles before a touch ends.
-        self._ring = Ring(self._final_frames + 2 * SETTLED_FRAMES, first_index)
+        self._ring = Ring(self._final_frames + 2 * SETTLED_FRAMES)
         self._numbers = itertools.count(1)
         self._size_mm = settings.size_mm
         self._touch: Touch | None = None
@@ -196,15 +187,15 @@ class Pipeline:
             longest = max(LIFT_OFF_FRAMES, self._touch.off_frames)
             self._touch.off_frames = frame.index - self._tracker.last_contact_index
             self._touch.degraded |= frame.bridged
-            self._touch.meter.add(self._tracker.without_loose_wire(frame.pressure))
+            self._touch.meter.add(frame.pressure)
             self._feed(self._touch)
             # In a longer silence, the frames off the pad become fewer when the network sees a hand in it.
             if self._touch.off_frames <= longest:
                 self._answer_what_is_due(self._touch, frame)
             if self._touch.off_frames in (LIFT_OFF_FRAMES, UNSURE_FRAMES):
                 self._answer_release(self._touch, frame)
-        elif frame.index % CHECK_FRAMES == 0 and self._tracker.is_untouched:
-            self._monitor.on_rest(is_noisy=self._tracker.baseline.is_disturbed)
+        elif frame.index % REST_FRAMES == 0 and self._tracker.is_untouched:
+            self._monitor.on_rest(self._tracker.noise)
 
     def _stop(self, reason: EndReason) -> None:
         if (release := self._tracker.forget(reason)) is not None:
@@ -219,12 +210,12 @@ class Pipeline:
             decision=Decision(self._decision_settings, self._model.labels),
             due=list(zip(self._decision_settings.answer_at_frames, STAGES, strict=True)),
             degraded=any(earlier.bridged for earlier in so_far),
-            meter=FeelMeter(self._tracker.baseline.counts, self._tracker.baseline.noise_floor, self._size_mm),
-            next_ongoing=self._final_frames + ASK_FRAMES,
+            meter=FeelMeter(self._tracker.rest, self._tracker.noise, self._size_mm),
+            next_ongoing=self._final_frames + ONGOING_STRIDE_FRAMES,
         )
         # The caller adds the newest frame, like those that follow.
-        for earlier in self._frames(frame.index + 1, len(so_far))[:-1]:
-            self._touch.meter.add(earlier)
+        for earlier in so_far[:-1]:
+            self._touch.meter.add(earlier.pressure)
         sensor_ms = _as_sent(so_far[0])
         self._emit(TouchBegan(touch=self._touch.number, time=self._now(), sensor_ms=sensor_ms, pad=self._pad))
 
@@ -249,12 +240,8 @@ class Pipeline:
             for show in viewers:
                 show(live)
 
-    def _frames(self, stop_index: int, length: int) -> NDArray[np.float32]:
-        """Return the frames before `stop_index` as the tracker sees them."""
-        return self._tracker.without_loose_wire(self._ring.window(stop_index, length))
-
     def _window(self, stop_index: int, length: int) -> NDArray[np.float32]:
-        return as_known(self._frames(stop_index, length), self._tracker.baseline.counts)
+        return as_known(self._ring.window(stop_index, length), self._tracker.rest)
 
     def _answer_what_is_due(self, touch: Touch, frame: GridFrame) -> None:
         length = touch.length
@@ -267,7 +254,7 @@ class Pipeline:
             due_length, stage = overdue[-1]
             self._answer_at(touch, stage, due_length, frame.host_s)
         if length >= touch.next_ongoing:
-            touch.next_ongoing = length + ASK_FRAMES
+            touch.next_ongoing = length + ONGOING_STRIDE_FRAMES
             self._answer_ongoing(touch, frame.host_s)
 
     def _answer_release(self, touch: Touch, frame: GridFrame) -> None:
@@ -314,7 +301,7 @@ class Pipeline:
     def _answer_ongoing(self, touch: Touch, since_s: float) -> None:
         """Answer with another gesture once the hand has changed to it."""
         frames = min(ONGOING_FRAMES, self._final_frames)
-        counts, rest = self._frames(touch.first_index + touch.length, frames), self._tracker.baseline.counts
+        counts, rest = self._ring.window(touch.first_index + touch.length, frames), self._tracker.rest
         if _leaves(counts - rest.mean()):
             return
         output = self._model.probabilities(as_known(counts, rest))

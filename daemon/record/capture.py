@@ -9,7 +9,7 @@ import numpy as np
 
 from touchd.daemon.app.config import Settings
 from touchd.daemon.path.monitor import TaxelFaults
-from touchd.daemon.path.tracker.tracker import Onset, Release, TouchTracker
+from touchd.daemon.path.tracker import Onset, Release, TouchTracker
 from touchd.daemon.record.session import Setting
 from touchd.drivers.frame import CLOCK_MODULUS, FRAME_RATE_HZ, MIN_RATE_HZ, NO_TOUCH, Frame, SensorState
 from touchd.drivers.pad.clock import clock_ms, pace_of
@@ -18,6 +18,7 @@ from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import check_port
 from touchd.drivers.pad.sensor import FrameQueue, Sensor
 from touchd.drivers.recording import Recording
+from touchd.model.detector import Detector
 
 SILENCE_S = 2.5
 RESTARTED_MS = 1000
@@ -152,7 +153,7 @@ class Contact:
 
     def __init__(self, settings: Settings) -> None:
         self._ring = Ring(HISTORY_FRAMES)
-        self._tracker = TouchTracker(settings.touch)
+        self._tracker = TouchTracker(settings.touch, Detector.load())
         self._touched = False
         self.touch: tuple[int, int] | None = None
 

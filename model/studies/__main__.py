@@ -26,7 +26,6 @@ STUDIES = {
     "new_pad": ("studies.new_pad", "adapt.md: what recording on another kind of pad gains"),
     "others": ("studies.others", "touches that are none of the gestures, and slow caresses"),
     "teaching": ("studies.teaching", "what teaching gains for touches in passing"),
-    "tracker": ("studies.tracker.report", "sessions.md: how well touches are detected"),
     "streams": ("studies.sessions.streams", "sessions.md: the same of another kind of pad"),
     "passing": (
         "studies.sessions.passing",

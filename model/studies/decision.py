@@ -1,7 +1,7 @@
 """When to tell the robot, and how often the answer is right: `python -m touchd.model.studies decision`.
 
 Each gesture is spliced between notouch recordings of the same participant and condition, as in
-`touchd.model.studies.tracker.measure`. The daemon's tracker finds the touch, and a network that never saw
+`touchd.model.studies.detection.cases`. The daemon's tracker finds the touch, and a network that never saw
 the person answers after each of its first 144 frames. All settings of the daemon's decision are tried on
 these answers.
 """
@@ -22,15 +22,16 @@ from rich.progress import track
 
 from touchd.daemon.path.decide import FINAL_ABOVE, REVISE_MARGIN, Decision, DecisionSettings, sure_above
 from touchd.daemon.path.events import UNCERTAIN, Stage
-from touchd.daemon.path.pipeline import STAGES, PipelineSettings
+from touchd.daemon.path.pipeline import STAGES
 from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT
 from touchd.model.classifier import SHIPPED_MODEL, Classifier, ModelState
 from touchd.model.studies.checks.evaluate import Split, score
+from touchd.model.studies.detection.cases import LEAD_FRAMES, Case, first_touch, spliced
 from touchd.model.studies.folders import study_parser
 from touchd.model.studies.marked import fill, table
+from touchd.model.studies.play import detector_for
 from touchd.model.studies.published import TABLE3
 from touchd.model.studies.results import STORED
-from touchd.model.studies.tracker.measure import LEAD_FRAMES, Case, detect, spliced
 from touchd.model.training import haart, metrics
 from touchd.model.training.studies import MISSING, Folders
 from touchd.model.training.weights import FABRIC_MODEL, left_out_split
@@ -412,14 +413,15 @@ def windows_of(windows: haart.Windows, model: Classifier) -> Streams:
 def _follow(case: Case, model: Classifier) -> Iterator[tuple[int, NDArray[np.float32]]]:
     """Yield the frame at which the case's touch was detected and the answers; nothing for a short touch."""
     scans = case.scans[LEAD_FRAMES - REST_FRAMES : case.stop]
-    touch = next(detect(scans, PipelineSettings().touch), None)
-    if touch is None or touch.detected < REST_FRAMES or touch.first + FRAMES > len(scans):
+    found = first_touch(scans, detector_for(model))
+    if found is None or found[1] < REST_FRAMES or found[0] + FRAMES > len(scans):
         return
+    first, detected = found
     state, outputs = None, []
-    for scan in scans[touch.first : touch.first + FRAMES]:
+    for scan in scans[first : first + FRAMES]:
         answer, state = model.step(np.clip(np.rint(scan), 0, MAX_COUNT)[None], state)
         outputs.append(answer)
-    yield touch.detected - touch.first, np.array(outputs, np.float32)
+    yield detected - first, np.array(outputs, np.float32)
 
 
 def tables(measured: Measured) -> dict[str, str]:

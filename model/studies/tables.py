@@ -21,13 +21,13 @@ from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT, NO_TOUCH, Counts
 from touchd.drivers.recording import Recording
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 from touchd.model.studies.checks.evaluate import Split
+from touchd.model.studies.detection.cases import Case, spliced
 from touchd.model.studies.folders import study_parser
 from touchd.model.studies.play import frames_of, play
 from touchd.model.studies.results import STORED, Results
 from touchd.model.studies.sessions import changes, firm_pad, passing, streams
 from touchd.model.studies.sessions.plan import SessionSettings, sessions
 from touchd.model.studies.sessions.score import judge, score
-from touchd.model.studies.tracker.measure import Case, spliced
 from touchd.model.training import haart, second_study, third_study
 from touchd.model.training.weights import FABRIC_MODEL, left_out_split
 

@@ -12,13 +12,13 @@ import torch
 
 from touchd.drivers.frame import NO_TOUCH, Frame
 from touchd.drivers.recording import Recording, ideal_clock_ms
-from touchd.model.detector import signals
-from touchd.model.detector.detector import Detector
-from touchd.model.detector.export import export
-from touchd.model.detector.network import DetectorNetwork
-from touchd.model.detector.pieces import PIECE_FRAMES, Composer, set_ups
+from touchd.model.detector import Detector
 from touchd.model.studies.detection.compare import detect
 from touchd.model.studies.play import frames_of
+from touchd.model.training.detector import signals
+from touchd.model.training.detector.export import export
+from touchd.model.training.detector.network import DetectorNetwork
+from touchd.model.training.detector.pieces import PIECE_FRAMES, Composer, set_ups
 
 HANDS: dict[str, tuple[Scans, int]] = {
     "nothing": (nothing(20.0), 0),

@@ -15,13 +15,13 @@ from typing import Any
 import msgspec
 
 from touchd.daemon.path.events import Event, TouchBegan, TouchEnded, timestamp
-from touchd.daemon.path.tracker.tracker import Onset, Release, TouchSettings
+from touchd.daemon.path.tracker import Onset, Question, Release, TouchSettings, TouchTracker
 from touchd.drivers.frame import NO_TOUCH, Frame
 from touchd.drivers.pad.grid import Ring
 from touchd.drivers.recording import Recording
 from touchd.model.classifier import SHIPPED_MODEL, Classifier, as_known
-from touchd.model.detector.detector import SHIPPED_DETECTOR, Detector
-from touchd.model.studies.detection.tracker import Question, TouchTracker
+from touchd.model.detector import SHIPPED_DETECTOR, Detector
+from touchd.model.studies.detection.cases import spliced
 from touchd.model.studies.folders import study_parser
 from touchd.model.studies.play import frames_of
 from touchd.model.studies.results import STORED, Results
@@ -29,7 +29,6 @@ from touchd.model.studies.sessions import firm_pad, streams
 from touchd.model.studies.sessions.plan import SessionSettings, sessions
 from touchd.model.studies.sessions.score import judge, score
 from touchd.model.studies.tables import DISTURBED, FIRM_RATES, case_counts, delays
-from touchd.model.studies.tracker.measure import spliced
 from touchd.model.training import haart, second_study
 
 FILE = STORED / "detection.json"
@@ -153,7 +152,7 @@ def main(arguments: Sequence[str]) -> int:
     results = Results(chosen.out)
     for path in sorted(SHIPPED_DETECTOR.parent.glob("*.onnx")):
         detector = Detector.load(path)
-        for name, measure in Comparison(chosen, detector, sorted(detector.left_out)).all():
+        for name, measure in Comparison(chosen, detector, sorted(detector.training["left_out"])).all():
             key = f"{path.stem}/{name}"
             if not results.has(key):
                 since = monotonic()

@@ -9,11 +9,11 @@ import torch
 import yaml
 
 from touchd.model.classifier import SHIPPED_MODEL
-from touchd.model.detector.data import composer
-from touchd.model.detector.detector import SHIPPED_DETECTOR
-from touchd.model.detector.export import export
-from touchd.model.detector.train import DetectorSettings, train
+from touchd.model.detector import SHIPPED_DETECTOR
 from touchd.model.studies.folders import study_parser
+from touchd.model.training.detector.data import composer
+from touchd.model.training.detector.export import export
+from touchd.model.training.detector.train import DetectorSettings, train
 from touchd.model.training.studies import Folders
 
 RECIPE = Path(__file__).parents[2] / "detector" / "recipe.yaml"

@@ -24,6 +24,7 @@ from touchd.drivers.frame import Frame
 from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.parser import FrameParser
 from touchd.model.classifier import Classifier
+from touchd.model.studies.play import detector_for
 from touchd.model.studies.sessions.score import detected_in
 from touchd.model.training.haart import find
 
@@ -115,7 +116,8 @@ def play(stream: FirmStream, model: Classifier, hz: float, rate_hz: float) -> li
     events: list[Event] = []
     now_s = 0.0
     settings = Settings(sensor=SensorSettings(format=PAD))
-    pipeline = Pipeline(settings.pipeline, model, events.append, Clock(lambda: now_s, lambda: now_s))
+    clock = Clock(lambda: now_s, lambda: now_s)
+    pipeline = Pipeline(settings.pipeline, model, events.append, clock, detector=detector_for(model))
     for frame in frames_of(stream, hz, rate_hz):
         now_s = frame.host_s
         pipeline.on_frame(frame)

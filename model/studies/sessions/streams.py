@@ -25,6 +25,7 @@ from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.parser import FrameParser
 from touchd.model.classifier import SHIPPED_MODEL, Classifier, load_own
 from touchd.model.studies.folders import study_parser
+from touchd.model.studies.play import detector_for
 from touchd.model.training.haart import find
 from touchd.model.training.weights import LEFT_OUT_FOLDER
 
@@ -105,7 +106,8 @@ def play(stream: Stream, model: Classifier) -> list[Event]:
     settings = Settings(sensor=SensorSettings(format=PAD), scene=scene)
     events: list[Event] = []
     now_s = 0.0
-    pipeline = Pipeline(settings.pipeline, model, events.append, Clock(lambda: now_s, lambda: now_s))
+    clock = Clock(lambda: now_s, lambda: now_s)
+    pipeline = Pipeline(settings.pipeline, model, events.append, clock, detector=detector_for(model))
     for frame in frames_of(stream):
         now_s = frame.host_s
         pipeline.on_frame(frame)

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor, nn
 
 from touchd.drivers.frame import COLUMNS, ROWS
-from touchd.model.detector.detector import METADATA_KEY, STATES
-from touchd.model.detector.network import DetectorNetwork
-from touchd.model.detector.signals import Pad, begin
+from touchd.model.detector import METADATA_KEY, STATES
+from touchd.model.training.detector.network import DetectorNetwork
+from touchd.model.training.detector.signals import Pad, begin
 
 OPSET = 20
 TAXELS = ROWS * COLUMNS

@@ -10,9 +10,9 @@ import numpy as np
 
 from touchd.drivers.pad.format import layout_of
 from touchd.drivers.recording import Recording, on_grid
-from touchd.model.detector.pieces import Composer, SetUp, Streamed, set_ups
-from touchd.model.detector.train import DetectorSettings
 from touchd.model.training import third_study
+from touchd.model.training.detector.pieces import Composer, SetUp, Streamed, set_ups
+from touchd.model.training.detector.train import DetectorSettings
 from touchd.model.training.haart import find, without
 from touchd.model.training.studies import Folders
 

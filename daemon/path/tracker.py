@@ -1,4 +1,4 @@
-"""When a touch begins and ends, by the detector: what the daemon's tracker is to become.
+"""When a touch begins and ends.
 
 A small network, the detector, says of each frame how likely it is that a hand is on the pad. The tracker is
 in one of three states:
@@ -15,19 +15,28 @@ that keeps still for ten seconds is no hand, and becomes rest.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Annotated, Literal, TypeAlias
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from touchd.daemon.path.events import EndReason
-from touchd.daemon.path.tracker.baseline import TAXELS, Taxels
-from touchd.daemon.path.tracker.tracker import Change, Onset, Release, TouchSettings
 from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
 from touchd.drivers.pad.grid import GridFrame
-from touchd.model.detector.detector import Detector, DetectorState, after_gap, at_rest
-from touchd.model.detector.hysteresis import BEGIN_FRAMES, GOES_ON, REST_FRAMES, SURE, TOUCH
+from touchd.model.detector import (
+    BEGIN_FRAMES,
+    BEGINS,
+    GOES_ON,
+    REST_FRAMES,
+    SURE,
+    Detector,
+    DetectorState,
+    after_gap,
+    at_rest,
+)
 
+TAXELS = ROWS * COLUMNS
 SECOND_FRAMES = 2 * REST_FRAMES
 # After a longer gap, rest is measured again: it may be another pad.
 CHANGED_AFTER_MS = 2000.0
@@ -38,9 +47,42 @@ SETTLED_FRAMES = round(10 * FRAME_RATE_HZ)
 LONGEST_FRAMES = round(600 * FRAME_RATE_HZ)
 # The classifier's probability of no touch that ends a doubtful touch.
 NO_HAND = 0.5
+# By how much more, or less, likely a hand must be to begin a touch.
+SENSITIVITIES = {"low": 0.2, "normal": 0.0, "high": -0.3}
 
+Taxels: TypeAlias = NDArray[np.float32]
 Question: TypeAlias = Callable[[NDArray[np.float32], Taxels], float]
 """The classifier's probability that nothing touches a pad in (T, 8, 8) counts that rests at (64,) counts."""
+
+
+class TouchSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """When a touch begins and ends.
+
+    sensitivity: high finds lighter touches, and more that are none; docs/sessions.md has the figures.
+    quiet_s: seconds of quiet that end a touch; longer than the lift-off between two strokes.
+    """
+
+    sensitivity: Literal["low", "normal", "high"] = "normal"
+    quiet_s: Annotated[float, msgspec.Meta(ge=0.1, le=5.0)] = 0.8
+
+
+@dataclass(frozen=True, slots=True)
+class Onset:
+    """A touch was detected; first_index is the grid frame at which it truly began."""
+
+    first_index: int
+
+
+@dataclass(frozen=True, slots=True)
+class Release:
+    """The touch is over; first_index and last_index are its first and last grid frame with contact."""
+
+    first_index: int
+    last_index: int
+    reason: EndReason
+
+
+Change: TypeAlias = Onset | Release | None
 
 
 @dataclass(slots=True)
@@ -89,6 +131,7 @@ class TouchTracker:
         self, settings: TouchSettings, detector: Detector, p_no_touch: Question | None = None
     ) -> None:
         self._quiet_frames = round(settings.quiet_s * FRAME_RATE_HZ)
+        self._begins = BEGINS + SENSITIVITIES[settings.sensitivity]
         self._detector, self._p_no_touch = detector, p_no_touch
         self._known: DetectorState = detector.begin(np.zeros((2, TAXELS), np.float32))
         self._recent = np.zeros((SECOND_FRAMES, TAXELS), np.float32)
@@ -144,17 +187,15 @@ class TouchTracker:
     def _restart(self, frame: GridFrame, counts: Taxels) -> Release | None:
         """End the touch at a gap in the frames; measure rest again after a long one."""
         release = self._end(self._state, "gap") if isinstance(self._state, Touched) else None
-        if (
-            isinstance(self._state, MeasuringRest)
-            or not 0 < frame.sensor_ms - self._sensor_ms <= CHANGED_AFTER_MS
-        ):
+        is_long = not 0 < frame.sensor_ms - self._sensor_ms <= CHANGED_AFTER_MS
+        if is_long or isinstance(self._state, MeasuringRest):
             self._state = MeasuringRest()
         else:
             self._known = after_gap(self._known, counts)
         return release
 
     def _watch(self, quiet: Quiet, probability: float) -> Onset | None:
-        quiet.likely = quiet.likely + 1 if probability > TOUCH else 0
+        quiet.likely = quiet.likely + 1 if probability > self._begins else 0
         if probability <= GOES_ON:
             quiet.unlikely_index = self._index
         if quiet.likely < BEGIN_FRAMES and probability <= SURE:
@@ -166,7 +207,7 @@ class TouchTracker:
     def _hold(self, touch: Touched, probability: float) -> Release | None:
         if probability > GOES_ON:
             touch.last = self._index
-        if probability > TOUCH:
+        if probability > BEGINS:
             touch.last_likely = self._index
         if self._index - touch.last >= self._quiet_frames:
             return self._end(touch, "released")

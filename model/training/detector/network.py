@@ -5,7 +5,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from touchd.drivers.frame import COLUMNS, ROWS
-from touchd.model.detector.signals import CHANNELS, TOTALS, Pad, follow, look
+from touchd.model.training.detector.signals import CHANNELS, TOTALS, Pad, follow, look
 
 
 class DetectorNetwork(nn.Module):

@@ -1,4 +1,4 @@
-"""The detector as the daemon runs it: one frame at a time; the caller keeps the state."""
+"""Says of each frame how likely it is that a hand is on the pad; the caller keeps the state."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,7 +12,13 @@ from numpy.typing import NDArray
 
 from touchd.model.classifier import ModelError, open_session
 
-SHIPPED_DETECTOR = Path(__file__).parents[1] / "weights" / "detector" / "detector.onnx"
+SHIPPED_DETECTOR = Path(__file__).parent / "weights" / "detector.onnx"
+# Half a second of the untouched pad shows its rest.
+REST_FRAMES = 27
+# A touch begins after some frames above the first probability, or one above the second.
+BEGINS, BEGIN_FRAMES, SURE = 0.7, 4, 0.985
+# It goes on while the probability is above this, and for `quiet_s` below.
+GOES_ON = 0.2
 METADATA_KEY = "touchd-detector"
 STATES = ("levels", "noise", "peak", "hidden")
 STEP_DEVIATIONS = 1.128
@@ -25,12 +31,11 @@ DetectorState: TypeAlias = Mapping[str, NDArray[np.float32]]
 
 @dataclass(frozen=True)
 class Detector:
-    """Says how likely it is that a hand is on the pad. width: of its memory."""
+    """Says how likely it is that a hand is on the pad. width: of its memory. training: its settings."""
 
     session: onnxruntime.InferenceSession
     width: int
-    left_out: frozenset[str]
-    """People from whom it did not learn."""
+    training: dict[str, Any]
 
     @classmethod
     def load(cls, path: Path = SHIPPED_DETECTOR) -> "Detector":
@@ -40,8 +45,7 @@ class Detector:
         if stored is None:
             raise ModelError(f"{path}: not a detector of touchd; install touchd again")
         widths = {entry.name: entry.shape[1] for entry in session.get_inputs()}
-        settings = msgspec.json.decode(stored, type=dict[str, Any])
-        return cls(session, widths["hidden"], frozenset(settings["left_out"]))
+        return cls(session, widths["hidden"], msgspec.json.decode(stored, type=dict[str, Any]))
 
     def begin(self, frames: NDArray[np.float32]) -> DetectorState:
         """Return the state after (T, 64) counts of a pad that nobody touches."""

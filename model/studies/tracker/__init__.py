@@ -1,1 +1,0 @@
-"""How well touches are detected (docs/sessions.md)."""
