@@ -16,8 +16,10 @@ SHIPPED_DETECTOR = Path(__file__).parent / "weights" / "detector.onnx"
 # Half a second of the untouched pad shows its rest.
 REST_FRAMES = 27
 # A touch begins after some frames above the first probability, or one above the second.
-BEGINS, BEGIN_FRAMES, SURE = 0.7, 4, 0.985
-# It goes on while the probability is above this, and for `quiet_s` below.
+BEGINS, BEGIN_FRAMES, SURE = 0.95, 4, 0.985
+# Between this and BEGINS, a hand is likely, but the classifier is asked too.
+LIKELY = 0.7
+# A touch goes on while the probability is above this, and for `quiet_s` below.
 GOES_ON = 0.2
 METADATA_KEY = "touchd-detector"
 STATES = ("levels", "noise", "peak", "hidden")
@@ -73,11 +75,15 @@ class Detector:
         return probability.item(), dict(zip(STATES, after, strict=True))
 
 
-def at_rest(state: DetectorState, frames: NDArray[np.float32]) -> DetectorState:
-    """Return the state with (T, 64) counts of an untouched pad as its rest."""
+def at_rest(state: DetectorState, frames: NDArray[np.float32], *, forgets_hand: bool) -> DetectorState:
+    """Return the state with (T, 64) counts of an untouched pad as its rest.
+
+    forgets_hand: whether it also begins without a memory, which holds a hand so far.
+    """
     levels = state["levels"].copy()
     levels[0, 0] = median(frames)
-    return {**state, "levels": levels}
+    hidden = np.zeros_like(state["hidden"]) if forgets_hand else state["hidden"]
+    return {**state, "levels": levels, "hidden": hidden}
 
 
 def after_gap(state: DetectorState, counts: NDArray[np.float32]) -> DetectorState:

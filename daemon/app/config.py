@@ -201,7 +201,8 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     @property
     def pipeline(self) -> PipelineSettings:
-        return PipelineSettings(touch=self.touch, decision=self.scene, size_mm=self.sensor.size_mm)
+        size_mm, is_finer = self.sensor.size_mm, max(self.sensor.described.used) > ROWS
+        return PipelineSettings(touch=self.touch, decision=self.scene, size_mm=size_mm, is_finer=is_finer)
 
 
 def load(path: Path) -> Settings:

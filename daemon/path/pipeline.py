@@ -59,11 +59,12 @@ Viewers: TypeAlias = Callable[[], Sequence[Callable[[LivePrediction], None]]]
 
 
 class PipelineSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Everything between a frame and an event. size_mm: of the 8x8 taxels."""
+    """Everything between a frame and an event. size_mm: of the 8x8 taxels. is_finer: a pad of more taxels."""
 
     touch: TouchSettings = TouchSettings()
     decision: DecisionSettings = DecisionSettings()
     size_mm: tuple[float, float] | None = None
+    is_finer: bool = False
 
 
 @dataclass(frozen=True)
@@ -133,7 +134,9 @@ class Pipeline:
         # When a touch ends, its last frame is already older by the quiet that ended it.
         self._stale_s = settings.decision.stale_s + settings.touch.quiet_s
         self._model = model
-        self._tracker = TouchTracker(settings.touch, detector or Detector.load(), _question(model))
+        self._tracker = TouchTracker(
+            settings.touch, detector or Detector.load(), question_of(model), is_finer=settings.is_finer
+        )
         # The longest window, and twice what settles before a touch ends.
         self._ring = Ring(self._final_frames + 2 * SETTLED_FRAMES)
         self._numbers = itertools.count(1)
@@ -354,7 +357,7 @@ class Pipeline:
         return timestamp(self._clock.epoch_s())
 
 
-def _question(model: Classifier) -> Question | None:
+def question_of(model: Classifier) -> Question | None:
     """Return how the tracker asks the model whether nothing touches the pad; None if it cannot tell."""
     if NO_TOUCH not in model.labels:
         return None

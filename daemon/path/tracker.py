@@ -4,15 +4,17 @@ A small network, the detector, says of each frame how likely it is that a hand i
 in one of three states:
 
 measuring rest: half a second of frames without a gap shows the untouched pad; then quiet.
-quiet: rest and noise follow the pad. Some frames in which a hand is likely, or one in which it is sure,
-    begin a touch.
-touched: rest and noise stay. The touch ends after `quiet_s` in which no hand is likely; if a hand is doubtful
-    for as long, the classifier is asked. What the pad then reads is its new rest.
+quiet: rest and noise follow the pad. Some frames in which the detector is sure of a hand begin a touch. If a
+    hand is only likely, the classifier is asked about the first 0.2 s of it.
+touched: rest and noise stay. The touch ends after `quiet_s` without a hand. A hand may also have left a load
+    that looks like one: if for `quiet_s` a hand is only likely, or the load is low beside what it was, the
+    classifier is asked. What the pad then reads is its new rest.
 
 A gap in the frames ends a touch. After a long gap, or with another sensor, rest is measured again. A load
 that keeps still for ten seconds is no hand, and becomes rest.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Literal, TypeAlias
@@ -28,6 +30,7 @@ from touchd.model.detector import (
     BEGIN_FRAMES,
     BEGINS,
     GOES_ON,
+    LIKELY,
     REST_FRAMES,
     SURE,
     Detector,
@@ -40,15 +43,21 @@ TAXELS = ROWS * COLUMNS
 SECOND_FRAMES = 2 * REST_FRAMES
 # After a longer gap, rest is measured again: it may be another pad.
 CHANGED_AFTER_MS = 2000.0
+# A load is the sum of what taxels read above rest and as many deviations of their noise, over so many frames.
+SMOOTH_FRAMES, NOISE_DEVIATIONS = 3, 2.0
 # A taxel is still if its mean of half a second differs from that before by at most as many counts, or as
 # large a share of its load: a jacket laid on the pad settles so, a resting hand does not.
 STILL_COUNTS, STILL_SHARE = 1.0, 0.03
 SETTLED_FRAMES = round(10 * FRAME_RATE_HZ)
 LONGEST_FRAMES = round(600 * FRAME_RATE_HZ)
-# The classifier's probability of no touch that ends a doubtful touch.
-NO_HAND = 0.5
-# By how much more, or less, likely a hand must be to begin a touch.
-SENSITIVITIES = {"low": 0.2, "normal": 0.0, "high": -0.3}
+# A hand that is only likely is asked about after as many frames, and is none from this probability of
+# "notouch" on. Without this, a rest that steps by some hundred counts begins touches on the robot.
+ASK_FRAMES, NO_HAND = 11, 0.5
+# What is below the first share of a touch's highest load, and does not rise by the second, may be what the
+# hand left: a fold, a material that creeps.
+LEFT_SHARE, RISE_SHARE = 0.5, 0.15
+# From which probability on a hand is likely.
+SENSITIVITIES = {"low": 0.85, "normal": LIKELY, "high": 0.5}
 
 Taxels: TypeAlias = NDArray[np.float32]
 Question: TypeAlias = Callable[[NDArray[np.float32], Taxels], float]
@@ -96,12 +105,13 @@ class MeasuringRest:
 class Quiet:
     """No hand is on the pad.
 
-    since: the first frame. unlikely_index: the last frame in which no hand was likely. likely: for how many
-    frames one has been.
+    since: the first frame. empty: the last frame in which no hand could be. sure, likely: for how many frames
+    the detector has been sure of a hand, or called it likely.
     """
 
     since: int
-    unlikely_index: int
+    empty: int
+    sure: int = 0
     likely: int = 0
 
 
@@ -109,14 +119,16 @@ class Quiet:
 class Touched:
     """An ongoing touch.
 
-    first, last: the first frame, and the last in which a hand is likely enough to go on. last_likely: the
-    last in which it would begin a touch. still_frames: for how long the load has kept still. level: (64,),
-    the mean of the half second that was checked last.
+    first, last: the first frame, and the last with a hand. held: the last in which what the pad reads is
+    surely a hand's. highest: the highest load. lowest: the least since `held`. still_frames: for how long the
+    load has kept still. level: (64,), the mean of the half second that was checked last.
     """
 
     first: int
     last: int
-    last_likely: int
+    held: int
+    highest: float = 0.0
+    lowest: float = math.inf
     still_frames: int = 0
     level: Taxels | None = None
 
@@ -124,15 +136,21 @@ class Touched:
 class TouchTracker:
     """Takes the pad's frames one by one and returns where touches begin and end.
 
-    p_no_touch: asks the classifier; None if it does not know "notouch".
+    p_no_touch: asks the classifier; None if it does not know "notouch". is_finer: whether the pad has more
+    taxels than 8x8; the classifier has learnt from no such pad, and takes what a hand leaves there for one.
     """
 
     def __init__(
-        self, settings: TouchSettings, detector: Detector, p_no_touch: Question | None = None
+        self,
+        settings: TouchSettings,
+        detector: Detector,
+        p_no_touch: Question | None = None,
+        *,
+        is_finer: bool = False,
     ) -> None:
         self._quiet_frames = round(settings.quiet_s * FRAME_RATE_HZ)
-        self._begins = BEGINS + SENSITIVITIES[settings.sensitivity]
-        self._detector, self._p_no_touch = detector, p_no_touch
+        self._likely = SENSITIVITIES[settings.sensitivity]
+        self._detector, self._p_no_touch, self._is_finer = detector, p_no_touch, is_finer
         self._known: DetectorState = detector.begin(np.zeros((2, TAXELS), np.float32))
         self._recent = np.zeros((SECOND_FRAMES, TAXELS), np.float32)
         self._state: MeasuringRest | Quiet | Touched = MeasuringRest()
@@ -174,9 +192,9 @@ class TouchTracker:
             return release
         is_touch = isinstance(state, Touched)
         probability, self._known = self._detector.step(counts, self._known, is_touch=is_touch)
-        if isinstance(state, Quiet):
-            return self._watch(state, probability) or release
-        return self._hold(state, probability)
+        if isinstance(state, Touched):
+            return self._hold(state, probability)
+        return release or self._watch(state, probability)
 
     def forget(self, reason: EndReason) -> Release | None:
         """End the touch, if one goes on, and measure rest again: it may be another pad."""
@@ -186,7 +204,10 @@ class TouchTracker:
 
     def _restart(self, frame: GridFrame, counts: Taxels) -> Release | None:
         """End the touch at a gap in the frames; measure rest again after a long one."""
-        release = self._end(self._state, "gap") if isinstance(self._state, Touched) else None
+        release = None
+        if isinstance(self._state, Touched):
+            release = Release(self._state.first, self._state.last, "gap")
+            self._state = Quiet(self._index, self._index)
         is_long = not 0 < frame.sensor_ms - self._sensor_ms <= CHANGED_AFTER_MS
         if is_long or isinstance(self._state, MeasuringRest):
             self._state = MeasuringRest()
@@ -195,36 +216,54 @@ class TouchTracker:
         return release
 
     def _watch(self, quiet: Quiet, probability: float) -> Onset | None:
-        quiet.likely = quiet.likely + 1 if probability > self._begins else 0
+        quiet.sure = quiet.sure + 1 if probability > BEGINS else 0
+        # What has been likely for some frames is asked about, even if it is less so by then.
+        is_likely = probability > self._likely or quiet.likely >= BEGIN_FRAMES
+        quiet.likely = quiet.likely + 1 if is_likely else 0
         if probability <= GOES_ON:
-            quiet.unlikely_index = self._index
-        if quiet.likely < BEGIN_FRAMES and probability <= SURE:
-            return None
-        first = max(quiet.unlikely_index + 1, self._index - SECOND_FRAMES)
+            quiet.empty = self._index
+        if quiet.sure < BEGIN_FRAMES and probability <= SURE:
+            if quiet.likely < ASK_FRAMES:
+                return None
+            if not self._sees_hand(ASK_FRAMES):
+                self._rest_now(forgets_hand=True)
+                return None
+        first = min(max(quiet.empty + 1, self._index - SECOND_FRAMES), self._index)
         self._state = Touched(first, self._index, self._index)
         return Onset(first)
 
     def _hold(self, touch: Touched, probability: float) -> Release | None:
         if probability > GOES_ON:
             touch.last = self._index
-        if probability > BEGINS:
-            touch.last_likely = self._index
+        if self._is_held(touch, probability):
+            touch.held, touch.lowest = self._index, math.inf
         if self._index - touch.last >= self._quiet_frames:
-            return self._end(touch, "released")
-        doubtful_frames = self._index - touch.last_likely
-        if doubtful_frames and doubtful_frames % self._quiet_frames == 0 and self._is_left():
-            touch.last = touch.last_likely
-            return self._end(touch, "released")
+            self._rest_now(forgets_hand=False)
+            return Release(touch.first, touch.last, "released")
+        if self._index - touch.held >= self._quiet_frames:
+            if self._is_finer or not self._sees_hand(self._quiet_frames):
+                touch.last = max(touch.first, min(touch.last, touch.held))
+                return self._end(touch, "released")
+            touch.held = self._index
         if self._has_settled(touch):
             return self._end(touch, "settled")
         return self._end(touch, "longest") if self._index - touch.first >= LONGEST_FRAMES else None
 
-    def _is_left(self) -> bool:
-        """Ask the classifier whether the hand has left."""
+    def _is_held(self, touch: Touched, probability: float) -> bool:
+        """Whether a hand surely makes what the pad reads, rather than having left it behind."""
+        above = self._recent[-SMOOTH_FRAMES:].mean(axis=0) - self.rest - NOISE_DEVIATIONS * self.noise
+        load = float(np.maximum(above, 0.0).sum())
+        touch.highest, touch.lowest = max(touch.highest, load), min(touch.lowest, load)
+        is_high = load > LEFT_SHARE * touch.highest
+        is_rising = load > touch.lowest + RISE_SHARE * touch.highest
+        return (is_high or is_rising) and (self._is_finer or probability > LIKELY)
+
+    def _sees_hand(self, frames: int) -> bool:
+        """Ask the classifier about the last frames, at most a second of them."""
         if self._p_no_touch is None:
-            return False
-        asked = self._recent[-min(self._quiet_frames, SECOND_FRAMES) :].reshape(-1, ROWS, COLUMNS)
-        return self._p_no_touch(asked, self.rest) >= NO_HAND
+            return True
+        asked = self._recent[-min(frames, SECOND_FRAMES) :].reshape(-1, ROWS, COLUMNS)
+        return self._p_no_touch(asked, self.rest) < NO_HAND
 
     def _has_settled(self, touch: Touched) -> bool:
         """Whether the load has kept still for ten seconds, looking every half second."""
@@ -239,7 +278,10 @@ class TouchTracker:
         return touch.still_frames >= SETTLED_FRAMES
 
     def _end(self, touch: Touched, reason: EndReason) -> Release:
-        """End the touch; what the pad reads now is its rest."""
-        self._known = at_rest(self._known, self._recent[-REST_FRAMES:])
-        self._state = Quiet(self._index, self._index)
+        self._rest_now(forgets_hand=True)
         return Release(touch.first, touch.last, reason)
+
+    def _rest_now(self, *, forgets_hand: bool) -> None:
+        """Take what the pad reads now as its rest. forgets_hand: the detector still takes it for a hand."""
+        self._known = at_rest(self._known, self._recent[-REST_FRAMES:], forgets_hand=forgets_hand)
+        self._state = Quiet(self._index, self._index)

@@ -27,6 +27,7 @@ from touchd.drivers.recording import Stream, ideal_clock_ms, read_recordings, re
 
 RATE_HZ = 54
 STILL = np.zeros((8, 8), np.uint16)
+CALM, NOISY = np.full(64, 0.8, np.float32), np.full(64, 1.5, np.float32)
 DEAD_ROW = "row 7 of the 8x8 grid stands still: a broken wire?"
 
 
@@ -276,7 +277,7 @@ def test_a_noisy_pad_is_degraded_after_five_seconds_until_it_is_calm() -> None:
     for number in range(20 * RATE_HZ):
         # For a second in between, as a hand leaves it.
         is_noisy = number < 10 * RATE_HZ and not RATE_HZ < number < 2 * RATE_HZ
-        monitor.on_rest(is_noisy=is_noisy)
+        monitor.on_rest(NOISY if is_noisy else CALM)
         frame = Frame(round(1000 * number / RATE_HZ), number / RATE_HZ, STILL)
         if monitor.on_frame(frame, restarted=False) is not None:
             seconds.append(number / RATE_HZ)
@@ -288,7 +289,7 @@ def test_a_noisy_pad_is_degraded_after_five_seconds_until_it_is_calm() -> None:
 def noisy_for(monitor: PadMonitor, seconds: int) -> list[SensorState]:
     states = list[SensorState]()
     for ms in range(0, 1000 * seconds, 18):
-        monitor.on_rest(is_noisy=True)
+        monitor.on_rest(NOISY)
         state = monitor.on_frame(Frame(ms, ms / 1000, STILL), restarted=False)
         states += [state] if state else []
     return states

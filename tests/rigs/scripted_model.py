@@ -1,13 +1,13 @@
 """A model with scripted answers."""
 
 from collections.abc import Callable
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.daemon.path.tracker.baseline import SECOND_FRAMES
-from touchd.daemon.path.tracker.tracker import STILL_FRAMES
 from touchd.model.classifier import ModelState
+from touchd.model.detector import DetectorState
 
 LABELS = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
 
@@ -17,8 +17,7 @@ class Scripted:
 
     labels: what it knows. "other" is not among the default ones, as in a lab's own file.
 
-    asked: the whole windows it was asked about, without the tracker's network checks, in which it always sees
-    a touch. stepped: at each step, the touch's frames up to then.
+    asked: the whole windows it was asked about. stepped: at each step, the touch's frames up to then.
     """
 
     name = "scripted"
@@ -32,8 +31,6 @@ class Scripted:
         self.stepped: list[NDArray[np.float32]] = []
 
     def probabilities(self, frames: NDArray[np.float32]) -> NDArray[np.float64]:
-        if len(frames) in (STILL_FRAMES, SECOND_FRAMES):
-            return self._sure_of("stroke")
         self.asked.append(frames)
         return self.answer()
 
@@ -49,3 +46,20 @@ class Scripted:
 
     def _sure_of(self, gesture: str) -> NDArray[np.float64]:
         return np.array([0.94 if label == gesture else 0.01 for label in self.labels])
+
+
+class PressureDetector:
+    """A detector that sees a hand where nine taxels read five counts above rest on average, and no other."""
+
+    training: ClassVar[dict[str, Any]] = {}
+
+    def begin(self, frames: NDArray[np.float32]) -> DetectorState:
+        rest = np.sort(frames, axis=0)[len(frames) // 2]
+        noise = np.abs(np.diff(frames, axis=0)).mean(axis=0) / 1.128
+        return {"levels": np.stack([rest, rest, rest])[None], "noise": noise[None, None]}
+
+    def step(
+        self, counts: NDArray[np.float32], state: DetectorState, *, is_touch: bool
+    ) -> tuple[float, DetectorState]:
+        above = np.sort(counts - state["levels"][0, 0])[-9:]
+        return float(above.mean() > 5.0), state

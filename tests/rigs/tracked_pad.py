@@ -1,26 +1,34 @@
 """A made pad that feeds a tracker, frame by frame."""
 
-import numpy as np
+from collections.abc import Callable
+
 from rigs.made_pad import MadePad, Scans, nothing
 
-from touchd.daemon.path.tracker.network_check import PNoTouch
-from touchd.daemon.path.tracker.tracker import Onset, Release, TouchSettings, TouchTracker
+from touchd.daemon.path.pipeline import question_of
+from touchd.daemon.path.tracker import Onset, Release, TouchSettings, TouchTracker
 from touchd.drivers.pad.grid import GridFrame
+from touchd.model.classifier import Classifier
+from touchd.model.detector import Detector
 
 
 class TrackedPad(MadePad):
-    """A made pad that feeds a tracker."""
+    """A made pad that feeds a tracker. p_no_touch: asked instead of the shipped classifier."""
 
     def __init__(
         self,
         settings: TouchSettings | None = None,
-        p_no_touch: PNoTouch | None = None,
+        p_no_touch: Callable[[Scans], float] | None = None,
+        detector: Detector | None = None,
         *,
         is_finer: bool = False,
     ) -> None:
         super().__init__()
-        question = None if p_no_touch is None else lambda frames, rest: p_no_touch(frames)
-        self.tracker = TouchTracker(settings or TouchSettings(), question, is_finer=is_finer)
+        question = question_of(Classifier.load())
+        if p_no_touch is not None:
+            question = lambda frames, rest: p_no_touch(frames)  # noqa: E731
+        self.tracker = TouchTracker(
+            settings or TouchSettings(), detector or Detector.load(), question, is_finer=is_finer
+        )
         self.index = 0
         self.gap_ms = 0.0
 
@@ -29,7 +37,7 @@ class TrackedPad(MadePad):
         changes = []
         for pressure in pressures:
             scans = nothing(pressure) if isinstance(pressure, float) else pressure
-            for counts in self.counts(scans).astype(np.float32):
+            for counts in self.counts(scans).astype("float32"):
                 sensor_ms = self.index * 1000 / 54 + self.gap_ms
                 change = self.tracker.update(GridFrame(self.index, sensor_ms, 0.0, counts, False, restarted))
                 changes += [change] if change else []

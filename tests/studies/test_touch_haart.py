@@ -7,7 +7,7 @@ import pytest
 from rigs.haart_folder import needs_haart, one_person
 
 from touchd.daemon.path.events import Prediction
-from touchd.daemon.path.tracker.tracker import TouchSettings
+from touchd.daemon.path.tracker import TouchSettings
 from touchd.drivers.frame import NO_TOUCH, Frame
 from touchd.drivers.recording import Recording, ideal_clock_ms
 from touchd.model.classifier import Classifier

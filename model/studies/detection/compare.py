@@ -15,11 +15,12 @@ from typing import Any
 import msgspec
 
 from touchd.daemon.path.events import Event, TouchBegan, TouchEnded, timestamp
+from touchd.daemon.path.pipeline import question_of
 from touchd.daemon.path.tracker import Onset, Question, Release, TouchSettings, TouchTracker
-from touchd.drivers.frame import NO_TOUCH, Frame
+from touchd.drivers.frame import Frame
 from touchd.drivers.pad.grid import Ring
 from touchd.drivers.recording import Recording
-from touchd.model.classifier import SHIPPED_MODEL, Classifier, as_known
+from touchd.model.classifier import SHIPPED_MODEL, Classifier
 from touchd.model.detector import SHIPPED_DETECTOR, Detector
 from touchd.model.studies.detection.cases import spliced
 from touchd.model.studies.folders import study_parser
@@ -38,10 +39,19 @@ Figures = dict[str, Any]
 
 
 def detect(
-    frames: Iterable[Frame], detector: Detector, question: Question, *, flush: bool = False
+    frames: Iterable[Frame],
+    detector: Detector,
+    question: Question | None,
+    settings: TouchSettings | None = None,
+    *,
+    is_finer: bool = False,
+    flush: bool = False,
 ) -> list[Event]:
     """Return where touches begin and end; their times are the frames'. flush: end what still goes on."""
-    ring, tracker = Ring(HISTORY_FRAMES), TouchTracker(TouchSettings(), detector, question)
+    ring, tracker = (
+        Ring(HISTORY_FRAMES),
+        TouchTracker(settings or TouchSettings(), detector, question, is_finer=is_finer),
+    )
     events: list[Event] = []
     number, now_s = 0, 0.0
 
@@ -72,12 +82,6 @@ def detect(
     if left_open is not None:
         events.append(ended(left_open))
     return events
-
-
-def question_of(model: Classifier) -> Question:
-    """Return how the tracker asks the classifier whether nothing touches the pad."""
-    place = model.labels.index(NO_TOUCH)
-    return lambda frames, rest: float(model.probabilities(as_known(frames, rest))[place])
 
 
 class Comparison:
@@ -135,7 +139,7 @@ class Comparison:
 
     def _firm_pad(self, hz: float, rate_hz: float) -> Figures:
         scores = [
-            firm_pad.score(each, self._detect(firm_pad.frames_of(each, hz, rate_hz)), hz)
+            firm_pad.score(each, self._detect(firm_pad.frames_of(each, hz, rate_hz), is_finer=True), hz)
             for each in firm_pad.read(self._folders.firm_pad)
         ]
         return msgspec.structs.asdict(firm_pad.together(scores))

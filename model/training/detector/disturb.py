@@ -72,7 +72,7 @@ def _linear(side: int) -> Scans:
 
 def _softer(counts: Scans, rng: Rng) -> Scans:
     """Silicone creeps: each taxel follows with one time constant up and another, longer, down."""
-    rise_s, fall_s = 0.15 * rng.random() ** 2, 1.5 * rng.random() ** 2
+    rise_s, fall_s = 0.15 * rng.random() ** 2, 1.2 * rng.random() ** 2
     rise, fall = (1.0 - np.exp(-1.0 / (FRAME_RATE_HZ * each + 1e-3)) for each in (rise_s, fall_s))
     followed = np.empty_like(counts)
     now = counts[0]
@@ -184,7 +184,7 @@ OTHER_PADS: tuple[tuple[float, Disturbance], ...] = (
     (0.9, _turned),
     (1.0, _gained),
     (0.2, _coarser),
-    (0.2, _softer),
+    (0.15, _softer),
     (0.2, _slower),
 )
 DISTURBANCES: tuple[tuple[float, Disturbance], ...] = (

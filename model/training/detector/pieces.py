@@ -22,15 +22,10 @@ Scans = NDArray[np.float32]
 VISIBLE_COUNTS, TAXEL_NOISE_COUNTS = 10.0, 2.5
 # A frame of a touch in which no hand shows teaches nothing, nor do those beside the hand's coming and going.
 BESIDE_FRAMES = 2
-# A hand that comes is no hand yet below this share of its load; one that leaves is none any more below the
-# other: what a firm pad still reads then is what it creeps back from.
-SEEN_SHARE, LEFT_SHARE = 0.15, 0.5
+# A hand that comes or goes is no hand yet, or any more, below this share of its load.
+SEEN_SHARE = 0.15
 # Share of the touches that are hugs, which no study has recorded; of the pieces without any touch.
 HUGS, IDLE = 0.2, 0.1
-# Share of the pieces in which a fold gives way: the pad's rest steps as touches shift it, but without a hand.
-FOLDS = 0.2
-# Share of the hugs that are let go of slowly.
-SLOWLY = 0.3
 # What a touch leaves, as a share of its load, and how often.
 RESIDUES = ((0.0, 0.35), (0.01, 0.2), (0.03, 0.2), (0.08, 0.15), (0.2, 0.1))
 LEAVING = (*LEAVES, "tickle")
@@ -43,7 +38,6 @@ class Touch:
     gesture: str
     scans: Scans
     visible: NDArray[np.bool_]
-    left: NDArray[np.bool_]
     contacts: tuple[tuple[int, int], ...]
     shift: Scans
 
@@ -100,7 +94,7 @@ def _touch(recording: Recording, rest: Scans) -> Touch:
     shift = np.zeros((ROWS, COLUMNS), np.float32)
     if recording.gesture in LEAVING:
         shift = shift_of_rest(scans, rest)
-    return Touch(recording.gesture, scans, visible, np.zeros(len(scans), np.bool_), tuple(whole), shift)
+    return Touch(recording.gesture, scans, visible, tuple(whole), shift)
 
 
 class Composer:
@@ -144,8 +138,6 @@ class Composer:
         rest = _stretch(own.rests[int(rng.integers(len(own.rests)))], PIECE_FRAMES, rng)
         at = int(rng.integers(32, 160))
         line = _TimeLine(rest, rng)
-        if own.touches and rng.random() < FOLDS:
-            line.give_way(own.touches[int(rng.integers(len(own.touches)))])
         if rng.random() < IDLE or not own.touches:
             at = PIECE_FRAMES
         while at < PIECE_FRAMES - 20:
@@ -178,18 +170,11 @@ class _TimeLine:
 
     def lay(self, touch: Touch, first: int, stop: int, at: int) -> None:
         """Lay frames first <= i < stop of a touch on the frames from `at` on."""
-        faded, leaves = _faded(stop - first, self._rng)
+        faded = _faded(stop - first, self._rng)
         span = slice(at, at + stop - first)
         self.counts[span] += (touch.scans[first:stop] - self.counts[span]) * faded[:, None, None]
-        left = touch.left[first:stop] | (leaves & (faded < LEFT_SHARE))
-        self.targets[span] = ~left
-        self.weights[span] *= left | (touch.visible[first:stop] & (faded > SEEN_SHARE))
-
-    def give_way(self, touch: Touch) -> None:
-        """Let the pad's rest step, some time, by what a touch does to it."""
-        shift = touch.shift if touch.shift.any() else 8.0 * _blotch(self._rng)
-        at = int(self._rng.integers(60, PIECE_FRAMES))
-        self.counts[at:] += shift * np.float32(self._rng.choice([-1.0, 1.0]) * self._rng.uniform(0.3, 1.5))
+        self.targets[span] = 1.0
+        self.weights[span] *= touch.visible[first:stop] & (faded > SEEN_SHARE)
 
     def leave(self, touch: Touch, first: int, stop: int, at: int) -> None:
         """Leave on the frames from `at` on what touches leave: a shifted rest, a residue that creeps back."""
@@ -219,17 +204,13 @@ def _hug(level: Scans, rng: np.random.Generator) -> Touch:
         shape = -(((y - place[0] - sway) / size[0]) ** 2) - ((x - place[1] + sway) / size[1]) ** 2
         picture += (force * np.exp(shape)).astype(np.float32)
     rise, fall = rng.integers(1, 40, 2)
-    if rng.random() < SLOWLY:
-        fall = int(rng.integers(40, 90))
     ticks = np.arange(frames)
-    held = np.clip(np.minimum((ticks + 1) / rise, (frames - ticks) / fall), 0.0, 1.0)
-    scans = level + picture * held.astype(np.float32)[:, None, None] * np.float32(
+    held = np.clip(np.minimum((ticks + 1) / rise, (frames - ticks) / fall), 0.0, 1.0)[:, None, None]
+    scans = level + picture * held.astype(np.float32) * np.float32(
         np.exp(rng.uniform(np.log(8), np.log(150)))
     )
-    load = (scans - level).sum(axis=(1, 2))
-    visible = load > VISIBLE_COUNTS + 0.1 * load.max()
-    left = (ticks >= frames - fall) & (load < LEFT_SHARE * load.max())
-    return Touch("constant", scans, visible, left, (), np.zeros((ROWS, COLUMNS), np.float32))
+    visible = (scans - level).sum(axis=(1, 2)) > VISIBLE_COUNTS + 0.1 * (scans - level).sum(axis=(1, 2)).max()
+    return Touch("constant", scans, visible, (), np.zeros((ROWS, COLUMNS), np.float32))
 
 
 def _cut(touch: Touch, rng: np.random.Generator) -> tuple[int, int]:
@@ -245,14 +226,14 @@ def _cut(touch: Touch, rng: np.random.Generator) -> tuple[int, int]:
     return first, first + frames
 
 
-def _faded(length: int, rng: np.random.Generator) -> tuple[Scans, NDArray[np.bool_]]:
-    """Return (T,) how far the hand is on the pad: at once, within some frames, or slowly; where it leaves."""
+def _faded(length: int, rng: np.random.Generator) -> Scans:
+    """Return (T,) how far the hand is on the pad: at once, within some frames, or slowly."""
     most = (1, 5, 30)[rng.choice(3, p=[0.45, 0.4, 0.15])]
     rise, fall = rng.integers(1, most + 1, 2)
     ticks = np.arange(length)
     faded = np.minimum((ticks + 1) / rise, (length - ticks) / fall)
     clipped: Scans = np.clip(faded, 0.0, 1.0).astype(np.float32)
-    return clipped, ticks >= length - fall
+    return clipped
 
 
 def _stretch(scans: Scans, frames: int, rng: np.random.Generator) -> Scans:

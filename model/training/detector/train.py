@@ -16,7 +16,7 @@ from tqdm import tqdm
 from touchd.drivers.frame import FRAME_RATE_HZ
 from touchd.drivers.whole_file import whole_file
 from touchd.model.adapt.optimise import learning_rate_at
-from touchd.model.detector import BEGIN_FRAMES, BEGINS, GOES_ON, REST_FRAMES, SURE
+from touchd.model.detector import BEGIN_FRAMES, GOES_ON, LIKELY, REST_FRAMES, SURE
 from touchd.model.training.detector import signals
 from touchd.model.training.detector.network import DetectorNetwork
 from touchd.model.training.detector.pieces import Composer, Piece
@@ -124,7 +124,7 @@ def followed(counts: Tensor, ask: Ask) -> Pad:
         now = counts[:, t, None]
         probability = ask(t, now, pad)
         pad = signals.follow(now, pad, ((1.0 - is_touch) * (1.0 - probability))[..., None])
-        above = torch.where(probability > BEGINS, above + 1, 0.0)
+        above = torch.where(probability > LIKELY, above + 1, 0.0)
         below = torch.where(probability < GOES_ON, below + 1, 0.0)
         begins = (above >= BEGIN_FRAMES) | (probability > SURE)
         ends = (is_touch > 0) & (below >= QUIET_FRAMES)
