@@ -56,7 +56,11 @@ class PressureDetector:
     def begin(self, frames: NDArray[np.float32]) -> DetectorState:
         rest = np.sort(frames, axis=0)[len(frames) // 2]
         noise = np.abs(np.diff(frames, axis=0)).mean(axis=0) / 1.128
-        return {"levels": np.stack([rest, rest, rest])[None], "noise": noise[None, None]}
+        return {
+            "levels": np.stack([rest, rest, rest])[None],
+            "noise": noise[None, None],
+            "hidden": np.zeros((1, 1), np.float32),
+        }
 
     def step(
         self, counts: NDArray[np.float32], state: DetectorState, *, is_touch: bool
