@@ -84,7 +84,7 @@ LONGEST = (
     "test_pads.py",
     "test_pad_formats.py",
     "test_plot.py",
-    "test_touch_haart.py",
+    "test_detection.py",
     "test_sessions.py",
 )
 

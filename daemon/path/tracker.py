@@ -39,6 +39,8 @@ from touchd.model.detector import (
     at_rest,
 )
 
+Sensitivity: TypeAlias = Literal["low", "normal", "high"]
+
 TAXELS = ROWS * COLUMNS
 SECOND_FRAMES = 2 * REST_FRAMES
 # After a longer gap, rest is measured again: it may be another pad.
@@ -57,7 +59,7 @@ ASK_FRAMES, NO_HAND = 11, 0.5
 # hand left: a fold, a material that creeps.
 LEFT_SHARE, RISE_SHARE = 0.5, 0.15
 # From which probability on a hand is likely.
-SENSITIVITIES = {"low": 0.85, "normal": LIKELY, "high": 0.5}
+SENSITIVITIES: dict[Sensitivity, float] = {"low": 0.85, "normal": LIKELY, "high": 0.5}
 
 Taxels: TypeAlias = NDArray[np.float32]
 Question: TypeAlias = Callable[[NDArray[np.float32], Taxels], float]
@@ -71,7 +73,7 @@ class TouchSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     quiet_s: seconds of quiet that end a touch; longer than the lift-off between two strokes.
     """
 
-    sensitivity: Literal["low", "normal", "high"] = "normal"
+    sensitivity: Sensitivity = "normal"
     quiet_s: Annotated[float, msgspec.Meta(ge=0.1, le=5.0)] = 0.8
 
 

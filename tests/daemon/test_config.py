@@ -129,7 +129,7 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
     ("text", "message"),
     [
         ("sensr: {}", "sensr: unknown setting; did you mean sensor?"),
-        ("sensor: {onset_threshold: 5}", "unknown setting; did you mean touch.onset_threshold?"),
+        ("sensor: {sensitivity: low}", "unknown setting; did you mean touch.sensitivity?"),
         ("sensor:\n\tport: x", "line 2, column 1: indent with spaces, not with tabs"),
         ("sensor: {format: {framing: txt}}", "sensor.format.framing: 'txt' is not one of text, binary"),
         ("turn: 90", "turn: unknown setting; did you mean sensor.turn?"),
@@ -156,7 +156,7 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
             "live:\n  #port: 8054",
             "line 1, column 1: live has no value; write null for none",
         ),
-        ("touch: {onset_threshold: .nan}", "touch.onset_threshold: nan must be at least 0.001"),
+        ("touch: {quiet_s: .nan}", "touch.quiet_s: nan must be at least 0.1"),
         (
             "scene: {actions: [{do: [{leds: purple}]}]}",
             "scene.actions[0].do[0]: leds 'purple' is neither #rrggbb nor one of white, red",
@@ -230,7 +230,6 @@ def test_zero_is_refused_after_the_model_is_loaded(tmp_path: Path, text: str) ->
         ("scene: {answer_at_frames: [1, 2, %s]}", [432], [433]),
         ("scene: {speak_above: %s}", [0, 1], [-0.01, 1.01]),
         ("scene: {stale_s: %s}", [0.001, 60], [60.1]),
-        ("touch: {onset_threshold: %s}", [0.001, 1000], [0, 1000.1]),
         ("touch: {quiet_s: %s}", [0.1, 5], [0.09, 5.1]),
     ],
 )

@@ -18,11 +18,10 @@ from touchd.model.classifier import SHIPPED_MODEL
 from touchd.model.studies import accuracy, adapting, decision, new_pad, paper, speed
 from touchd.model.studies.challenge import table as challenge
 from touchd.model.studies.checks.scores import read_scores
+from touchd.model.studies.detection import compare as detection
 from touchd.model.studies.marked import PLACE, PageError, fill, table
 from touchd.model.studies.results import Results, ResultsError
 from touchd.model.studies.sessions import passing
-from touchd.model.studies.tracker import report as tracker
-from touchd.model.studies.tracker.figures import TouchReport
 from touchd.model.training.recipe import read_recipe
 from touchd.model.training.weights import SCORES_NAME
 
@@ -50,7 +49,7 @@ PAGES: dict[str, Tables] = {
     },
     "speed": lambda: speed.tables(stored(speed.FILE, speed.Measured)),
     "sessions": lambda: {
-        **tracker.tables(stored(tracker.FILE, TouchReport)),
+        **detection.tables(Results(detection.FILE)),
         **passing.tables(stored(passing.FILE, passing.Measured)),
     },
 }

@@ -1,7 +1,6 @@
 """How well the detector finds touches: `python -m touchd.model.studies detection`.
 
-The sessions, streams and the firm pad of `tables`, with the learned tracker alone; its rows have the same
-names, so that `tables --against` compares it with the daemon's rules.
+The sessions, streams and the firm pad of `tables`, with the tracker alone, in minutes.
 """
 
 import logging
@@ -13,25 +12,28 @@ from time import monotonic
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from touchd.daemon.path.events import Event, TouchBegan, TouchEnded, timestamp
 from touchd.daemon.path.pipeline import question_of
-from touchd.daemon.path.tracker import Onset, Question, Release, TouchSettings, TouchTracker
-from touchd.drivers.frame import Frame
+from touchd.daemon.path.tracker import SENSITIVITIES, Onset, Release, TouchSettings, TouchTracker
+from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH, Frame
 from touchd.drivers.pad.grid import Ring
-from touchd.drivers.recording import Recording
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
-from touchd.model.detector import SHIPPED_DETECTOR, Detector
+from touchd.model.studies.checks.evaluate import Split
 from touchd.model.studies.detection.cases import spliced
 from touchd.model.studies.folders import study_parser
-from touchd.model.studies.play import frames_of
+from touchd.model.studies.marked import fill, table
+from touchd.model.studies.play import detector_for, frames_of
 from touchd.model.studies.results import STORED, Results
 from touchd.model.studies.sessions import firm_pad, streams
 from touchd.model.studies.sessions.plan import SessionSettings, sessions
 from touchd.model.studies.sessions.score import judge, score
-from touchd.model.studies.tables import DISTURBED, FIRM_RATES, case_counts, delays
+from touchd.model.studies.tables import DISTURBED, FIRM_RATES, NOISE_COUNTS, case_counts, delays
 from touchd.model.training import haart, second_study
+from touchd.model.training.weights import FABRIC_MODEL, left_out_split
 
+WEIGHTS = SHIPPED_MODEL.parent
 FILE = STORED / "detection.json"
 FIGURES = ("missed", "merged", "split", "open", "false", "n")
 HISTORY_FRAMES = 1500
@@ -40,17 +42,20 @@ Figures = dict[str, Any]
 
 def detect(
     frames: Iterable[Frame],
-    detector: Detector,
-    question: Question | None,
+    model: Classifier,
     settings: TouchSettings | None = None,
     *,
     is_finer: bool = False,
     flush: bool = False,
 ) -> list[Event]:
-    """Return where touches begin and end; their times are the frames'. flush: end what still goes on."""
+    """Return where touches begin and end; their times are the frames'.
+
+    model: is asked about doubtful touches; the detector saw no more people than it. flush: end what still
+    goes on.
+    """
     ring, tracker = (
         Ring(HISTORY_FRAMES),
-        TouchTracker(settings or TouchSettings(), detector, question, is_finer=is_finer),
+        TouchTracker(settings or TouchSettings(), detector_for(model), question_of(model), is_finer=is_finer),
     )
     events: list[Event] = []
     number, now_s = 0, 0.0
@@ -85,81 +90,116 @@ def detect(
 
 
 class Comparison:
-    """What is measured with one detector; people: whom it never saw, of the studies' training people."""
+    """What is measured. folders: of the recordings. Networks never saw the people, nor the pad never met."""
 
-    def __init__(self, folders: Any, detector: Detector, people: Sequence[str]) -> None:
-        self._folders, self._people = folders, people
-        self._detect = partial(
-            detect, detector=detector, question=question_of(Classifier.load(SHIPPED_MODEL))
-        )
+    def __init__(self, folders: Any) -> None:
+        self._folders = folders
+        self._shipped = Classifier.load(SHIPPED_MODEL)
 
     def all(self) -> Iterator[tuple[str, Callable[[], Figures]]]:
         """Yield each row's name and what measures it."""
-        folders = self._folders
-        if not self._people:
-            test = haart.realigned(haart.read_test(folders.haart))
-            yield "sessions/HAART test", partial(self._sessions, test, SessionSettings())
-            yield "found after/HAART test", partial(self._found, test)
-            for name, settings in DISTURBED.items():
-                yield f"{name}/HAART test", partial(self._sessions, test, settings)
-            if folders.firm_pad is not None:
-                for hz, rate_hz in FIRM_RATES:
-                    yield f"firm pad/{hz:g} Hz sent at {rate_hz:g}", partial(self._firm_pad, hz, rate_hz)
-            return
-        own = haart.only(haart.realigned(haart.read_training(folders.haart)), self._people)
-        yield "sessions/HAART", partial(self._sessions, own, SessionSettings())
-        yield "found after/HAART", partial(self._found, own)
-        robot = haart.only(second_study.read(folders.second_study), self._people)
+        folders, plain = self._folders, SessionSettings()
+        test: Split = [(self._shipped, haart.realigned(haart.read_test(folders.haart)))]
+        own = left_out_split(WEIGHTS, haart.realigned(haart.read_training(folders.haart)))
+        robot = second_study.read(folders.second_study)
+        yield "sessions/HAART test", partial(self._sessions, test, plain)
+        yield "sessions/HAART", partial(self._sessions, own, plain)
         for words, substrate in (("robot still", "static"), ("robot breathes", "dynamic")):
-            some = [one for one in robot if one.substrate == substrate]
-            yield f"sessions/{words}", partial(self._sessions, some, SessionSettings())
-        yield "streams/held out", self._streams
+            some = left_out_split(WEIGHTS, [one for one in robot if one.substrate == substrate])
+            yield f"sessions/{words}", partial(self._sessions, some, plain)
+        yield "found after/HAART test", partial(self._found, test, TouchSettings())
+        for level in SENSITIVITIES:
+            settings = TouchSettings(sensitivity=level)
+            yield f"sensitivity/{level}", partial(self._sensitivity, own, settings)
+        for name, disturbance in DISTURBED.items():
+            yield f"{name}/HAART", partial(self._sessions, own, disturbance)
+        yield "streams/held out", partial(self._streams, streams.held_out())
+        yield "streams/never met", partial(self._streams, Classifier.load(FABRIC_MODEL))
+        if folders.firm_pad is not None:
+            for hz, rate_hz in FIRM_RATES:
+                yield f"firm pad/{hz:g} Hz sent at {rate_hz:g}", partial(self._firm_pad, hz, rate_hz)
 
-    def _sessions(self, recordings: Sequence[Recording], settings: SessionSettings) -> Figures:
-        played = [
-            judge(session, self._detect(frames_of(session.counts)))
-            for session in sessions(recordings, settings)
-        ]
-        result = score(played)
+    def _sessions(self, held: Split, settings: SessionSettings) -> Figures:
+        result = score(
+            [
+                judge(session, detect(frames_of(session.counts), model))
+                for model, recordings in held
+                for session in sessions(recordings, settings)
+            ]
+        )
         return {name: getattr(result, name) for name in FIGURES}
 
-    def _found(self, recordings: Sequence[Recording]) -> Figures:
+    def _found(self, held: Split, settings: TouchSettings) -> Figures:
         return delays(
-            (case, self._detect(frames_of(case_counts(case))))
+            (case, detect(frames_of(case_counts(case)), model, settings))
+            for model, recordings in held
             for case in spliced(recordings, level_rest=True)
         )
 
-    def _streams(self) -> Figures:
-        own = [
-            stream for stream in streams.read(self._folders.third_study) if stream.participant in self._people
-        ]
-        played = [(stream, self._detect(streams.frames_of(stream), flush=True)) for stream in own]
+    def _sensitivity(self, held: Split, settings: TouchSettings) -> Figures:
+        """Return delays, and the false touches in ten minutes on a pad with one more count of noise."""
+        rng, began, minutes = np.random.default_rng(0), 0, 0.0
+        for model, recordings in held:
+            for one in recordings:
+                if one.gesture == NO_TOUCH:
+                    noisy = (one.counts + NOISE_COUNTS * rng.normal(size=one.counts.shape)).clip(0).round()
+                    events = detect(frames_of(noisy.astype(np.uint16)), model, settings)
+                    began += sum(isinstance(event, TouchBegan) for event in events)
+                    minutes += len(noisy) / FRAME_RATE_HZ / 60.0
+        return {**self._found(held, settings), "false_with_noise": round(10.0 * began / minutes, 2)}
+
+    def _streams(self, models: dict[str, Classifier] | Classifier) -> Figures:
+        played = []
+        for stream in streams.read(self._folders.third_study):
+            model = models if isinstance(models, Classifier) else models[stream.participant]
+            played.append((stream, detect(streams.frames_of(stream), model, flush=True)))
         result = msgspec.structs.asdict(streams.score(played))
         return {name: result[name] for name in ("touched", "missed", "several", "rest", "false")}
 
     def _firm_pad(self, hz: float, rate_hz: float) -> Figures:
-        scores = [
-            firm_pad.score(each, self._detect(firm_pad.frames_of(each, hz, rate_hz), is_finer=True), hz)
-            for each in firm_pad.read(self._folders.firm_pad)
-        ]
+        scores = []
+        for each in firm_pad.read(self._folders.firm_pad):
+            frames = firm_pad.frames_of(each, hz, rate_hz)
+            scores.append(firm_pad.score(each, detect(frames, self._shipped, is_finer=True), hz))
         return msgspec.structs.asdict(firm_pad.together(scores))
+
+
+def tables(results: Results) -> dict[str, str]:
+    """Return the tables of docs/sessions.md."""
+    rows = [
+        (
+            level,
+            own["missed"],
+            own["late"],
+            f"{own['median_ms']:g} / {own['p90_ms']:g}",
+            own["false_with_noise"],
+        )
+        for level in SENSITIVITIES
+        for own in [results.get(f"sensitivity/{level}")]
+    ]
+    headings = (
+        "`touch.sensitivity`",
+        "missed",
+        "over 1 s late",
+        "found after, median / p90 ms",
+        "false with noise",
+    )
+    return {"sensitivity": table(headings, rows)}
 
 
 def main(arguments: Sequence[str]) -> int:
     """Measure what is not stored yet; returns 0."""
-    takes = ("haart", "second-study", "third-study")
-    parser = study_parser("detection", "Measures touches detected by a network.", *takes)
+    takes = ("haart", "second-study", "third-study", "docs")
+    parser = study_parser("detection", "Measures how well touches are detected.", *takes)
     parser.add_argument("--firm-pad", type=Path, help="folder of the firm pad's recordings")
     parser.add_argument("--out", type=Path, default=FILE, help="where to store the figures")
     chosen = parser.parse_args(arguments)
     logging.disable()
     results = Results(chosen.out)
-    for path in sorted(SHIPPED_DETECTOR.parent.glob("*.onnx")):
-        detector = Detector.load(path)
-        for name, measure in Comparison(chosen, detector, sorted(detector.training["left_out"])).all():
-            key = f"{path.stem}/{name}"
-            if not results.has(key):
-                since = monotonic()
-                results.put(key, measure(), monotonic() - since)
-                sys.stderr.write(f"{key}: {msgspec.json.encode(results.get(key)).decode()}\n")
+    for name, measure in Comparison(chosen).all():
+        if not results.has(name):
+            since = monotonic()
+            results.put(name, measure(), monotonic() - since)
+            sys.stderr.write(f"{name}: {msgspec.json.encode(results.get(name)).decode()}\n")
+    fill(chosen.docs / "sessions.md", tables(results))
     return 0
