@@ -122,7 +122,8 @@ class Touched:
     """An ongoing touch.
 
     first, last: the first frame, and the last with a hand. held: the last in which what the pad reads is
-    surely a hand's. highest: the highest load. lowest: the least since `held`. still_frames: for how long the
+    surely a hand's. highest: the highest load. lowest: the least since `held`. is_low: whether the load is low
+    beside the highest. still_frames: for how long the
     load has kept still. level: (64,), the mean of the half second that was checked last.
     """
 
@@ -131,6 +132,7 @@ class Touched:
     held: int
     highest: float = 0.0
     lowest: float = math.inf
+    is_low: bool = False
     still_frames: int = 0
     level: Taxels | None = None
 
@@ -243,7 +245,7 @@ class TouchTracker:
             self._rest_now(forgets_hand=False)
             return Release(touch.first, touch.last, "released")
         if self._index - touch.held >= self._quiet_frames:
-            if self._is_finer or not self._sees_hand(self._quiet_frames):
+            if self._is_left(touch):
                 touch.last = max(touch.first, min(touch.last, touch.held))
                 return self._end(touch, "released")
             touch.held = self._index
@@ -256,9 +258,24 @@ class TouchTracker:
         above = self._recent[-SMOOTH_FRAMES:].mean(axis=0) - self.rest - NOISE_DEVIATIONS * self.noise
         load = float(np.maximum(above, 0.0).sum())
         touch.highest, touch.lowest = max(touch.highest, load), min(touch.lowest, load)
-        is_high = load > LEFT_SHARE * touch.highest
+        touch.is_low = load <= LEFT_SHARE * touch.highest
         is_rising = load > touch.lowest + RISE_SHARE * touch.highest
-        return (is_high or is_rising) and (self._is_finer or probability > LIKELY)
+        return (is_rising or not touch.is_low) and (self._is_finer or probability > LIKELY)
+
+    def _is_left(self, touch: Touched) -> bool:
+        """Whether a hand that is not held has left: at once if what the pad reads is low and keeps still."""
+        if touch.is_low and (self._is_finer or self._is_still()):
+            return True
+        return not self._is_finer and not self._sees_hand(self._quiet_frames)
+
+    def _is_still(self) -> bool:
+        half = min(self._quiet_frames, SECOND_FRAMES) // 2
+        newer = self._recent[-half:].mean(axis=0)
+        return self._keeps_still(self._recent[-2 * half : -half].mean(axis=0), newer)
+
+    def _keeps_still(self, before: Taxels, now: Taxels) -> bool:
+        allowed = np.maximum(STILL_SHARE * (now - self.rest), np.maximum(STILL_COUNTS, self.noise))
+        return bool((np.abs(now - before) <= allowed).all())
 
     def _sees_hand(self, frames: int) -> bool:
         """Ask the classifier about the last frames, at most a second of them."""
@@ -273,8 +290,7 @@ class TouchTracker:
             return False
         level = self._recent[-REST_FRAMES:].mean(axis=0)
         if touch.level is not None:
-            allowed = np.maximum(STILL_SHARE * (level - self.rest), np.maximum(STILL_COUNTS, self.noise))
-            is_still = bool((np.abs(level - touch.level) <= allowed).all())
+            is_still = self._keeps_still(touch.level, level)
             touch.still_frames = touch.still_frames + REST_FRAMES if is_still else 0
         touch.level = level
         return touch.still_frames >= SETTLED_FRAMES
