@@ -122,9 +122,9 @@ class Touched:
     """An ongoing touch.
 
     first, last: the first frame, and the last with a hand. held: the last in which what the pad reads is
-    surely a hand's. highest: the highest load. lowest: the least since `held`. is_low: whether the load is low
-    beside the highest. still_frames: for how long the
-    load has kept still. level: (64,), the mean of the half second that was checked last.
+    surely a hand's. highest: the highest load. lowest: the least since `held`. is_low: whether the load is
+    low beside the highest. still_frames: for how long the load has kept still. level: (64,), the mean of the
+    half second that was checked last.
     """
 
     first: int
