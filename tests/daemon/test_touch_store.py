@@ -128,7 +128,7 @@ def test_a_kept_touch_is_what_the_pad_sent(bench: StoreBench) -> None:
     for recording, expected in (
         (frames.before, bench.frames(start.sensor_ms - 1000, start.sensor_ms - 1)),
         (frames.touch, bench.frames(start.sensor_ms, end.sensor_ms)),
-        (frames.after, bench.frames(end.sensor_ms + 1, end.sensor_ms + 815)),
+        (frames.after, bench.frames(end.sensor_ms + 1, end.sensor_ms + 797)),
     ):
         assert recording.sensor_ms.tolist() == [frame.sensor_ms for frame in expected]
         np.testing.assert_array_equal(recording.counts, np.stack([frame.pressure for frame in expected]))

@@ -10,31 +10,13 @@ pytest.importorskip("torch", reason="needs the extra `train`")
 
 import torch
 
-from touchd.drivers.frame import NO_TOUCH, Frame
+from touchd.drivers.frame import NO_TOUCH
 from touchd.drivers.recording import Recording, ideal_clock_ms
 from touchd.model.detector import Detector
-from touchd.model.studies.detection.compare import detect
-from touchd.model.studies.play import frames_of
 from touchd.model.training.detector import signals
 from touchd.model.training.detector.export import export
 from touchd.model.training.detector.network import DetectorNetwork
 from touchd.model.training.detector.pieces import PIECE_FRAMES, Composer, set_ups
-
-HANDS: dict[str, tuple[Scans, int]] = {
-    "nothing": (nothing(20.0), 0),
-    "a firm hand": (np.concatenate([palm(2.0, 60.0), nothing(3.0)]), 1),
-    "two hands": (np.concatenate([palm(1.0, 60.0), nothing(2.0), palm(1.0, 60.0), nothing(3.0)]), 2),
-    "a light hand": (np.concatenate([palm(2.0, 12.0), nothing(3.0)]), 1),
-}
-
-
-@pytest.mark.parametrize("name", HANDS)
-def test_a_hand_on_a_made_pad_is_one_touch(name: str) -> None:
-    scans, touches = HANDS[name]
-    counts = MadePad().counts(np.concatenate([nothing(2.0), scans]))
-    frames: list[Frame] = list(frames_of(counts))
-    events = detect(frames, Detector.load(), lambda _frames, _rest: 0.0)
-    assert [event.touch for event in events] == sorted([*range(1, touches + 1)] * 2)
 
 
 def test_the_file_answers_as_the_network(tmp_path: Path) -> None:

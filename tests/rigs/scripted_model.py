@@ -1,6 +1,7 @@
 """A model with scripted answers."""
 
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -21,6 +22,7 @@ class Scripted:
     """
 
     name = "scripted"
+    metadata = SimpleNamespace(training={})
 
     def __init__(
         self, gesture: Callable[[int], str] = lambda asked: "stroke", labels: tuple[str, ...] = LABELS

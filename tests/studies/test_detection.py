@@ -31,8 +31,8 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[Recording]:
     [
         ("sessions/HAART test", 0.5, 0.5, 1.5, 0.3),
         ("sessions/HAART", 1.4, 1.0, 2.4, 1.0),
-        ("sessions/robot still", 1.6, 1.3, 2.9, 2.2),
-        ("sessions/robot breathes", 1.0, 1.0, 4.8, 1.6),
+        ("sessions/robot still", 3.0, 1.0, 2.9, 2.2),
+        ("sessions/robot breathes", 2.0, 2.0, 4.8, 3.0),
     ],
 )
 def test_touches_of_people_never_seen_are_found(
