@@ -30,7 +30,7 @@ from touchd.daemon.path.tracker import TouchSettings
 from touchd.daemon.robot.actions import ActionRule, Name
 from touchd.drivers.errors import TouchdError, written_out
 from touchd.drivers.frame import DEFAULT_PAD, ROWS
-from touchd.drivers.pad.format import PRESETS, PadFormat
+from touchd.drivers.pad.format import PRESETS, PadFormat, SentFormat
 from touchd.drivers.robot.session import RobotSettings
 
 MAX_BYTES = 64 * 1024
@@ -76,13 +76,13 @@ def _check_pads(ports: Mapping[str, str]) -> None:
 
 
 class SensorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The pad, the line it is on, and how it lies. turn, mirror: override those of the format."""
+    """The pad, the line it is on, and how it lies: turned clockwise, then left and right swapped."""
 
     port: Annotated[str, msgspec.Meta(min_length=1)] = DEFAULT_PORT
     baud: Annotated[int, msgspec.Meta(ge=1200, le=4_000_000)] = 512_000
-    format: str | PadFormat = FABRIC
-    turn: Literal[0, 90, 180, 270] | None = None
-    mirror: bool | None = None
+    format: str | SentFormat = FABRIC
+    turn: Literal[0, 90, 180, 270] = 0
+    mirror: bool = False
     size_mm: tuple[Length, Length] | None = None
 
     def __post_init__(self) -> None:
@@ -95,15 +95,10 @@ class SensorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
             raise ValueError("a binary format needs a header or footer; lines of numbers need framing: text")
 
     @property
-    def sent(self) -> PadFormat:
-        """The format alone, whatever way the pad lies."""
-        return PRESETS[self.format] if isinstance(self.format, str) else self.format
-
-    @property
     def described(self) -> PadFormat:
         """The format of the pad as it lies."""
-        lies = {name: getattr(self, name) for name in ("turn", "mirror") if getattr(self, name) is not None}
-        return PadFormat(**(msgspec.structs.asdict(self.sent) | lies))
+        sent = PRESETS[self.format] if isinstance(self.format, str) else self.format
+        return PadFormat(**(msgspec.structs.asdict(sent) | {"turn": self.turn, "mirror": self.mirror}))
 
 
 class SceneSettings(DecisionSettings, frozen=True, kw_only=True, forbid_unknown_fields=True):

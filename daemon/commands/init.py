@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from msgspec.structs import replace
 from rich.console import Console
 from serial.tools.list_ports import comports
 
@@ -141,7 +140,7 @@ def _write(
 
 def _as_settings(described: PadFormat) -> str:
     """Return a description as lines below `sensor:`, how the pad lies beside what it sends."""
-    text = f"  {as_yaml(replace(described, turn=0, mirror=False))}\n"
+    text = f"  {as_yaml(described)}\n"
     text += f"  turn: {described.turn}\n" if described.turn else ""
     return text + ("  mirror: true\n" if described.mirror else "")
 

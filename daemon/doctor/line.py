@@ -94,7 +94,7 @@ def _check_described(sensor: SensorSettings) -> Check:
     rows, columns = described.used
     if described.crop and (rows < ROWS or columns < COLUMNS):
         found = f"{found}, of which only the inner {rows}x{columns} are used"
-        whole = as_yaml(replace(sensor.sent, crop=0))
+        whole = as_yaml(replace(described, crop=0))
         return Check("protocol", "warning", found, f"to leave out no cell, set under sensor: {whole}")
     return Check("protocol", "ok", found)
 

@@ -224,5 +224,5 @@ def check_orientation(sample: Sample, rest: NDArray[np.float64], settings: Setti
 
 def _turned_over(settings: Settings) -> str:
     """Return the advice for a pad that is read upside down."""
-    sent = settings.sensor.sent
-    return f"set under sensor: {as_yaml(replace(sent, invert=not sent.invert))}"
+    described = settings.sensor.described
+    return f"set under sensor: {as_yaml(replace(described, invert=not described.invert))}"

@@ -1,4 +1,4 @@
-"""What a pad sends, described rather than programmed: framing, cells, clock, checksum, orientation."""
+"""What a pad sends and how it lies, described rather than programmed."""
 
 import json
 from functools import lru_cache
@@ -50,7 +50,7 @@ def _check_hex(name: str, text: str) -> None:
         raise FormatError(f"{name} {text!r} is not bytes in hex, as in 'aa ab ac'{hint}")
 
 
-class PadFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+class SentFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """How a pad's bytes become pressure; docs/pads.md explains each key.
 
     A binary frame is header, clock (uint32), skip, cells, tail or checksum, footer. A frame of text is one
@@ -74,8 +74,6 @@ class PadFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     full_scale: Annotated[float, msgspec.Meta(gt=0, le=4e9)] = MAX_COUNT
     invert: bool = False
     crop: Annotated[int, msgspec.Meta(ge=0, le=28)] = 0
-    turn: Literal[0, 90, 180, 270] = 0
-    mirror: bool = False
 
     def __post_init__(self) -> None:
         for name in ("header", "footer"):
@@ -92,7 +90,7 @@ class PadFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
             self._check_binary()
 
     def _check_text(self) -> None:
-        plain = PadFormat()
+        plain = SentFormat()
         for name in ("header", "footer", "cell", "order", "checksum"):
             if getattr(self, name) != getattr(plain, name):
                 what = "text has rows, columns, skip, tail, clock and end"
@@ -146,6 +144,13 @@ class PadFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         return bytes.fromhex(self.footer) + bytes.fromhex(self.header)
 
 
+class PadFormat(SentFormat, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """What a pad sends, and how it lies: turned clockwise by degrees, then left and right swapped."""
+
+    turn: Literal[0, 90, 180, 270] = 0
+    mirror: bool = False
+
+
 PRESETS = {
     "fabric-grid": PadFormat(header="ffffffff", clock="ms", checksum="values", invert=True, crop=1),
     "csv": PadFormat(framing="text", skip=1, clock="ms", invert=True, crop=1),
@@ -157,12 +162,13 @@ PRESETS = {
 
 
 def as_yaml(described: PadFormat) -> str:
-    """Return a description as it stands in the configuration, on one line."""
+    """Return what a pad sends as it stands in the configuration, on one line."""
+    sent = msgspec.structs.replace(described, turn=0, mirror=False)
     for name, preset in PRESETS.items():
-        if preset == described:
+        if preset == sent:
             return f"format: {name}"
-    always = {"framing": described.framing, "rows": described.rows, "columns": described.columns}
-    fields = always | msgspec.to_builtins(described) | {"full_scale": described.full_scale}
+    always = {"framing": sent.framing, "rows": sent.rows, "columns": sent.columns}
+    fields = always | msgspec.to_builtins(sent) | {"full_scale": sent.full_scale}
     shown = {key: f"{value:g}" if key == "full_scale" else json.dumps(value) for key, value in fields.items()}
     return f"format: {{{', '.join(f'{key}: {value}' for key, value in shown.items())}}}"
 

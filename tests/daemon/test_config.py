@@ -22,7 +22,7 @@ from touchd.daemon.app.config import (
 from touchd.daemon.app.parts import make_parts
 from touchd.daemon.commands.settings import find_settings
 from touchd.drivers.errors import PathError
-from touchd.drivers.pad.format import PRESETS, PadFormat
+from touchd.drivers.pad.format import PRESETS, SentFormat
 from touchd.drivers.queue import Signal
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 
@@ -101,7 +101,7 @@ def test_the_example_names_every_setting_outside_the_pads_format() -> None:
 
     def names(kind: inspect.Type) -> Iterator[str]:
         match kind:
-            case inspect.StructType(cls=cls, fields=fields) if cls is not PadFormat and cls not in seen:
+            case inspect.StructType(cls=cls, fields=fields) if cls is not SentFormat and cls not in seen:
                 seen.add(cls)
                 for field in fields:
                     yield field.encode_name
@@ -133,6 +133,7 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
         ("sensor:\n\tport: x", "line 2, column 1: indent with spaces, not with tabs"),
         ("sensor: {format: {framing: txt}}", "sensor.format.framing: 'txt' is not one of text, binary"),
         ("turn: 90", "turn: unknown setting; did you mean sensor.turn?"),
+        ("sensor: {format: {turn: 90}}", "sensor.format.turn: unknown setting; did you mean sensor.turn?"),
         ("robot: {ip: 10.0.0.5}", "robot.ip: unknown setting; there are url, "),
         ("sensor: {'a`b': 1}", "sensor.a`b: unknown setting"),
         ("sensor: {baud: fast}", "sensor.baud: a whole number expected, not text"),

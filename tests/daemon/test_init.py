@@ -188,7 +188,9 @@ def test_how_a_pad_lies_is_written_beside_what_it_sends(
     sent = replace(PRESETS["fabric-grid"], **changed)
     monkeypatch.setattr(init, "_find", lambda *_: init.Found("none", 512_000, replace(sent, **lies)))
     assert write() == 0
-    assert load(FILE).sensor == SensorSettings(port="none", format=sent if changed else "fabric-grid", **lies)
+    sensor = load(FILE).sensor
+    assert (sensor.described, sensor.turn) == (replace(sent, **lies), lies.get("turn", 0))
+    assert isinstance(sensor.format, str) is not bool(changed)
 
 
 @pytest.mark.parametrize(
