@@ -121,7 +121,7 @@ def check_robot(settings: Settings) -> Check:
         return Check("robot", "ok", "none is configured")
     wanted = settings.robot
     shown = certificate_at(wanted.url) if wanted.address.scheme == "tcps" else None
-    is_unknown = shown is not None and wanted.certificate is None
+    is_unknown = shown is not None and wanted.pinned is None
     pin = f"if it is your robot, set robot.certificate: {shown}" if is_unknown else ""
     try:
         version, took_s = _ask_version(wanted)

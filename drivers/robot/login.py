@@ -27,10 +27,10 @@ def read_token(settings: RobotSettings) -> str:
         raise RobotError(
             f"robot.token_file {path} is empty or missing, or larger than 4096 bytes, so no token"
         )
-    if not (settings.certificate or settings.trust_network):
+    if not settings.certificate:
         raise RobotError(
             f"robot {settings.url}: whoever answers there would get the token; set robot.certificate to the "
-            "robot's, which touchd doctor shows, or robot.trust_network: true if nobody else can answer"
+            "robot's, which touchd doctor shows, or to any if nobody else can answer"
         )
     return token
 

@@ -96,8 +96,8 @@ def without_password(address: str) -> str:
 class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Where the robot is and how to log in. The token itself is never among the settings.
 
-    certificate: the fingerprint of the robot's, sha256:HEX. trust_network: send the token to whoever answers.
-    A token needs one of the two. client: "qi" uses the robot's own library instead of `wire`.
+    certificate: the fingerprint of the robot's, sha256:HEX, or "any"; a token needs it. client: "qi" uses the
+    robot's own library instead of `wire`.
     """
 
     url: str
@@ -105,7 +105,6 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     user: str | None = None
     token_file: str | None = None
     certificate: str | None = None
-    trust_network: bool = False
     client: Literal["touchd", "qi"] = "touchd"
 
     def __post_init__(self) -> None:
@@ -119,8 +118,13 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
             raise ValueError("token_file is not a full path; write the token into a file and give its path")
         if self.address.scheme != "tcps" and (self.user or self.certificate):
             raise ValueError(f"url {self.url}: what is sent there is not encrypted; use tcps://")
-        if self.client == "qi" and self.certificate:
+        if self.client == "qi" and self.pinned:
             raise ValueError("qi accepts any certificate; leave client out, or certificate")
+
+    @property
+    def pinned(self) -> str | None:
+        """The fingerprint that the robot must show, None for any."""
+        return None if self.certificate == "any" else self.certificate
 
     @property
     def address(self) -> Address:

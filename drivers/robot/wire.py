@@ -52,7 +52,7 @@ class Connection:
         if settings.address.scheme == "tcps":
             from touchd.drivers.robot.login import encrypted, read_token
 
-            self._line = encrypted(self._line, settings.certificate, wait.go_on)
+            self._line = encrypted(self._line, settings.pinned, wait.go_on)
             if settings.user is not None:
                 login = {"auth_user": settings.user, "auth_token": read_token(settings)}
         try:

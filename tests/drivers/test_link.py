@@ -231,8 +231,8 @@ def test_a_token_that_cannot_be_read_is_named(token_file: str, complaint: str) -
 
 
 def test_a_token_is_sent_only_where_the_robot_is_known(tmp_path: Any) -> None:
-    login = {**login_in(tmp_path), "trust_network": False}
-    for known in ({"certificate": PIN}, {"trust_network": True}):
-        RobotLink(RobotSettings(url=NAO, **login | known))
-    with pytest.raises(RobotError, match=r"robot\.certificate .* or robot\.trust_network"):
-        RobotLink(RobotSettings(url=NAO, **login))
+    login = login_in(tmp_path)
+    for known in (PIN, "any"):
+        RobotLink(RobotSettings(url=NAO, **login | {"certificate": known}))
+    with pytest.raises(RobotError, match=r"set robot\.certificate to .* or to any"):
+        RobotLink(RobotSettings(url=NAO, **login | {"certificate": None}))

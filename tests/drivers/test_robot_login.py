@@ -18,14 +18,14 @@ def test_only_a_robot_with_the_pinned_certificate_gets_the_token(tmp_path: Path)
         assert shown is not None
         digits = shown.removeprefix("sha256:")
         pairs = ":".join(digits[at : at + 2] for at in range(0, 64, 2))
-        pinned = login_in(tmp_path) | {"trust_network": False}
-        with linked(robot, **pinned, certificate=f"sha256:{'ab' * 32}") as (_, states):
+        login = login_in(tmp_path)
+        with linked(robot, **login | {"certificate": f"sha256:{'ab' * 32}"}) as (_, states):
             reason = states.wait_for("down")
         assert f"not the robot of robot.certificate: this one's is {shown}" in reason
         assert robot.gate is not None
         assert robot.gate.first_messages == []
         for form in (shown, f"SHA256:{pairs.upper()}"):
-            with linked(robot, **pinned, certificate=form) as (link, states):
+            with linked(robot, **login | {"certificate": form}) as (link, states):
                 states.wait_for("up")
                 hears(robot, link, form)
 
@@ -53,5 +53,5 @@ def test_the_doctor_shows_the_certificate_to_pin(tmp_path: Path) -> None:
         assert (without.verdict, without.advice.endswith(pin)) == ("to do", True)
         trusted = check_robot(Settings(robot=RobotSettings(url=robot.url, **login_in(tmp_path))))
         assert (trusted.verdict, trusted.advice) == ("ok", pin)
-        pinned = RobotSettings(url=robot.url, certificate=shown, **login_in(tmp_path))
+        pinned = RobotSettings(url=robot.url, **login_in(tmp_path) | {"certificate": shown})
         assert check_robot(Settings(robot=pinned)).advice == ""

@@ -128,7 +128,7 @@ def login_in(folder: Path, login: Login = LOGIN) -> dict[str, Any]:
     token = folder / "token"
     # As an editor on Windows may save it.
     token.write_bytes(f"\ufeff{login.token}\r\n".encode())
-    return {"user": login.user, "token_file": str(token), "trust_network": True}
+    return {"user": login.user, "token_file": str(token), "certificate": "any"}
 
 
 class States:
