@@ -12,7 +12,7 @@ from touchd.daemon.doctor.machine import service_runs
 from touchd.daemon.doctor.port import advice_for
 from touchd.daemon.doctor.values import MANY_SHARE
 from touchd.drivers.frame import COLUMNS, MIN_RATE_HZ, ROWS
-from touchd.drivers.pad.clock import clock_by_ours, pace_of
+from touchd.drivers.pace import clock_by_ours, pace_of
 from touchd.drivers.pad.format import PadFormat, as_yaml
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import Line, SensorError, at_baud, check_port, forget_waiting, open_port

@@ -11,7 +11,7 @@ from touchd.daemon.doctor.check import Check, Sample, Verdict
 from touchd.daemon.path.monitor import FAULTS, STILL_S, TaxelFaults, places
 from touchd.daemon.path.tracker import Onset, TouchTracker
 from touchd.drivers.frame import COLUMNS, MAX_COUNT, ROWS, Frame
-from touchd.drivers.pad.clock import steps_ms
+from touchd.drivers.pace import steps_ms
 from touchd.drivers.pad.format import as_yaml
 from touchd.drivers.pad.grid import Ring
 from touchd.model.classifier import KNOWN_REST_COUNTS

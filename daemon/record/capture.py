@@ -12,7 +12,7 @@ from touchd.daemon.path.monitor import TaxelFaults
 from touchd.daemon.path.tracker import Onset, Release, TouchTracker
 from touchd.daemon.record.session import Setting
 from touchd.drivers.frame import CLOCK_MODULUS, FRAME_RATE_HZ, MIN_RATE_HZ, NO_TOUCH, Frame, SensorState
-from touchd.drivers.pad.clock import clock_ms, pace_of
+from touchd.drivers.pace import clock_ms, pace_of
 from touchd.drivers.pad.grid import Ring
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import check_port

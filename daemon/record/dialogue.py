@@ -32,7 +32,7 @@ from touchd.daemon.view.elements import big
 from touchd.daemon.view.pad_picture import pad_picture
 from touchd.daemon.view.terminal import Stopped, ask, listening
 from touchd.drivers.frame import COLUMNS, NO_TOUCH, OTHER, ROWS, Counts, Frame
-from touchd.drivers.pad.clock import pace_of
+from touchd.drivers.pace import pace_of
 from touchd.drivers.recording import RecordingError, write_recordings
 
 # Trim both ends, as HAART does: it keeps the middle eight of ten seconds.

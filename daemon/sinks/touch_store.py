@@ -31,7 +31,7 @@ from touchd.daemon.sinks.touches import TouchKey, read_labels
 from touchd.drivers.errors import os_errors_as
 from touchd.drivers.faults import FaultLog
 from touchd.drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, NO_TOUCH, Frame
-from touchd.drivers.pad.clock import clock_ms
+from touchd.drivers.pace import clock_ms
 from touchd.drivers.pad.port import at_baud
 from touchd.drivers.recording import (
     KEYS,

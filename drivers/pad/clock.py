@@ -1,4 +1,4 @@
-"""Dates each frame, by the pad's clock or by its arrival; and the pace of frames by that clock.
+"""Dates each frame, by the pad's clock or by its arrival.
 
 A frame is on time if its clock is 1 to 250 ms after that of the last accepted one (modulo 2^32, so the wrap
 after 49.7 days needs no special case). A frame that repeats the last clock is a duplicate. Any other is held:
@@ -13,11 +13,6 @@ known. A clock that jumps ahead is delivered as it is.
 
 import math
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass
-
-import numpy as np
-from numpy.typing import NDArray
 
 from touchd.drivers.frame import CLOCK_MODULUS, Counts, Frame, ProtocolCounts
 
@@ -135,61 +130,3 @@ class ArrivalClock:
         self._arrivals_s.append(host_s)
         self._last_ms = max(self._last_ms, round(1000 * self._dated_s))
         return self._last_ms % CLOCK_MODULUS
-
-
-# A step between two frames that is longer than usual by this factor has lost a frame.
-LOST_STEP = 1.75
-COMPARABLE_S = 1.5
-
-
-@dataclass(frozen=True)
-class Pace:
-    """Frames a second, the standard deviation of the steps between them, and lost frames.
-
-    Steps in which a frame was lost count for neither rate nor jitter.
-    """
-
-    rate_hz: float
-    jitter_ms: float
-    lost: int
-
-    def __str__(self) -> str:
-        return f"{self.rate_hz:.2f} Hz, {self.lost} frames lost"
-
-
-def steps_ms(frames: Sequence[Frame]) -> NDArray[np.int64]:
-    """Return the steps between T frames by the pad's clock, (T - 1,) ms; the clock may wrap.
-
-    If the clock runs back, the pad was reset; that step counts as a usual one.
-    """
-    stamps = np.array([frame.sensor_ms for frame in frames], dtype=np.int64)
-    steps: NDArray[np.int64] = np.diff(stamps) % CLOCK_MODULUS
-    is_back = steps > CLOCK_MODULUS // 2
-    if is_back.any():
-        steps[is_back] = 0 if is_back.all() else np.median(steps[~is_back])
-    return steps
-
-
-def clock_ms(frames: Sequence[Frame]) -> NDArray[np.int64]:
-    """Return the pad's clock at T frames, (T,) ms, unwrapped."""
-    clock: NDArray[np.int64] = frames[0].sensor_ms + np.concatenate([[0], np.cumsum(steps_ms(frames))])
-    return clock
-
-
-def pace_of(frames: Sequence[Frame]) -> Pace:
-    """Return the pace of two frames or more."""
-    steps = steps_ms(frames)
-    usual_ms = float(np.median(steps))
-    is_whole = steps < LOST_STEP * usual_ms
-    lost = int(np.rint(steps[~is_whole] / usual_ms - 1).sum())
-    return Pace(1000.0 / float(steps[is_whole].mean()), float(steps[is_whole].std()), lost)
-
-
-def clock_by_ours(frames: Sequence[Frame]) -> float:
-    """Return how fast the pad's clock runs, relative to ours; 1 if the frames span less than COMPARABLE_S."""
-    since_s = np.array([frame.host_s - frames[0].host_s for frame in frames])
-    if since_s[-1] < COMPARABLE_S:
-        return 1.0
-    # A fit through all frames, so that one late frame does not matter.
-    slope, _ = np.polyfit(since_s, clock_ms(frames) / 1000, 1)
-    return float(slope)

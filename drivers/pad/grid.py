@@ -21,8 +21,8 @@ IN_STEP_MS = 2.0
 # A phase that follows by a fifth a frame is 0.9 ms off if the pad is 1 % off 54 Hz; the rest is for jitter.
 PHASE_GAIN = 0.2
 IN_STEP_FRAMES = 27
-# Frames further apart than this have one missing between them, at 50 to 60 Hz.
-LOST_MS = 1.75 * PERIOD_MS
+# A step between two frames that is longer than usual by this factor has lost a frame.
+LOST_STEP = 1.75
 # The longest gap bridged by interpolation, which marks the touch as degraded. A longer gap ends the touch. At
 # 0.15 s, 10 % of the third study's touches are detected as more than one; at 0.2 s, 9 %.
 MAX_GAP_MS = 200
@@ -144,7 +144,7 @@ class Ring:
         span_ms = now_ms - self._clock_ms
         share = np.float32((at_ms - self._clock_ms) / span_ms)
         laid = self._pressure + share * (pressure - self._pressure)
-        return self._lay(at_ms, frame.host_s, laid, bridged=span_ms > LOST_MS, restarted=False)
+        return self._lay(at_ms, frame.host_s, laid, bridged=span_ms > LOST_STEP * PERIOD_MS, restarted=False)
 
     def _lay(
         self, at_ms: float, host_s: float, pressure: NDArray[np.float32], *, bridged: bool, restarted: bool

@@ -14,8 +14,8 @@ import numpy as np
 from msgspec.structs import replace
 
 from touchd.drivers.frame import MIN_RATE_HZ, Frame
+from touchd.drivers.pace import clock_by_ours
 from touchd.drivers.pad.binary import CLOCK_BYTES
-from touchd.drivers.pad.clock import clock_by_ours
 from touchd.drivers.pad.format import LONGEST_SIDE, PRESETS, SHORTEST_SIDE, PadFormat, as_yaml, layout_of
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.search import binary, text

@@ -8,7 +8,8 @@ from rigs.formats import FabricGrid, encode_fabric_grid
 from rigs.wire import assert_are, counts_of, flip, packet, packets
 
 from touchd.drivers.frame import CLOCK_MODULUS, Frame, ProtocolCounts
-from touchd.drivers.pad.clock import ArrivalClock, PadClock, clock_ms, pace_of
+from touchd.drivers.pace import clock_ms, pace_of
+from touchd.drivers.pad.clock import ArrivalClock, PadClock
 
 STILL = np.zeros((8, 8), np.uint16)
 WILD = encode_fabric_grid(counts_of(9), 123_456_789)
