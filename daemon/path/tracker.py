@@ -207,7 +207,10 @@ class TouchTracker:
         return release
 
     def _restart(self, frame: GridFrame, counts: Taxels) -> Release | None:
-        """End the touch at a gap in the frames; measure rest again after a long one."""
+        """End the touch at a gap in the frames; measure rest again after a long one.
+
+        The next touch begins after the gap, so that no touch's frames span it.
+        """
         release = None
         if isinstance(self._state, Touched):
             release = Release(self._state.first, self._state.last, "gap")
@@ -216,6 +219,7 @@ class TouchTracker:
         if is_long or isinstance(self._state, MeasuringRest):
             self._state = MeasuringRest()
         else:
+            self._state = Quiet(self._state.since, self._index)
             self._known = after_gap(self._known, counts)
         return release
 

@@ -165,6 +165,14 @@ def test_a_gap_ends_the_touch_and_begins_another(pad: TrackedPad) -> None:
     assert isinstance(onset, Onset)
 
 
+@pytest.mark.parametrize("frames", [1, 3, 5])
+def test_a_touch_that_a_gap_interrupts_begins_after_it(pad: TrackedPad, frames: int) -> None:
+    assert pad.feel(palm(frames / 54, 3.0, trembling=False)) == []
+    after_gap, pad.gap_ms = pad.index, 500.0
+    (onset,) = pad.feel(palm(1.0, 3.0, trembling=False), restarted=True)
+    assert onset.first_index >= after_gap
+
+
 @pytest.mark.parametrize("gap_ms", [2100.0, -5000.0])
 def test_after_a_long_gap_rest_is_measured_again(pad: TrackedPad, gap_ms: float) -> None:
     pad.gap_ms = gap_ms
