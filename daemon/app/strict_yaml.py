@@ -218,7 +218,7 @@ def _unknown(wrong: str, path: str, struct: type[msgspec.Struct]) -> str:
     elsewhere = sorted((at for at in known if at.rpartition(".")[2] == wrong), key=lambda at: at.count("."))
     others = [at for at in known if at != _without_items(path)]
     near = elsewhere or difflib.get_close_matches(name, others, n=1, cutoff=0.75)
-    beside = ", ".join(at.rpartition(".")[2] for at in known if at.rpartition(".")[0] == _without_items(path))
+    beside = ", ".join(at for at in known if at.rpartition(".")[0] == _without_items(path))
     advice = f"did you mean {near[0]}?" if near else f"there are {beside}"
     return f"{'.'.join(filter(None, [path, wrong]))}: unknown setting; {advice}"
 
