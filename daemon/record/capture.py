@@ -153,20 +153,22 @@ class Contact:
 
     def __init__(self, settings: Settings) -> None:
         self._ring = Ring(HISTORY_FRAMES)
-        self._tracker = TouchTracker(settings.touch, Detector.load())
-        self._touched = False
+        is_finer = settings.pipeline.is_finer
+        self._tracker = TouchTracker(settings.touch, Detector.load(), is_finer=is_finer)
+        self._touched, self._began_ms = False, 0
         self.touch: tuple[int, int] | None = None
 
     def update(self, frame: Frame) -> bool:
         """Process the next frame; return whether the pad is touched."""
         for laid in self._ring.push(frame):
             match self._tracker.update(laid):
-                case Onset():
-                    self._touched = True
-                case Release(first_index, last_index):
+                case Onset(first_index):
+                    # By the end of a long touch, the ring has forgotten its beginning.
+                    self._touched, self._began_ms = True, self._clock_at(first_index)
+                case Release(last_index=last_index):
                     self._touched = False
                     if self.touch is None:
-                        self.touch = self._clock_at(first_index), self._clock_at(last_index)
+                        self.touch = self._began_ms, self._clock_at(last_index)
         return self._touched
 
     def _clock_at(self, index: int) -> int:

@@ -9,18 +9,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rich.console import Console
+from rigs.made_pad import MadePad, Scans, nothing, palm
 from rigs.small_disk import log_on_small_disk, needs_small_disk
 
 from touchd.daemon.app import cli
-from touchd.daemon.app.config import Settings
+from touchd.daemon.app.config import SensorSettings, Settings
 from touchd.daemon.record import dialogue
-from touchd.daemon.record.capture import Capture, PadReader, complaints
+from touchd.daemon.record.capture import Capture, Contact, PadReader, complaints
 from touchd.daemon.record.dialogue import Dialogue, Terms
 from touchd.daemon.record.session import Session, Setting
 from touchd.daemon.view.terminal import text_width
 from touchd.drivers.frame import Frame
 from touchd.drivers.recording import Recording, RecordingError, prepare, read_recordings, write_recordings
 from touchd.model.studies.simulated import simulate
+
+# What a hand leaves in a soft pad creeps back slowly.
+DENT = palm(5.0, 60.0, trembling=False) * np.exp(-np.arange(270, dtype=np.float32) / 200)[:, None, None]
 
 
 def recording() -> Recording:
@@ -155,6 +159,23 @@ def test_a_recording_that_does_not_show_its_gesture_is_reported(
         assert [text in line for text, line in zip([*health, *found], told, strict=True)] == [True] * len(
             told
         )
+
+
+@pytest.mark.parametrize(
+    ("pad_format", "scans", "end_ms"),
+    [
+        pytest.param("fabric-grid", [palm(25.0, 60.0)], 28_000, id="longer than is remembered"),
+        pytest.param("m1616", [palm(1.0, 300.0), DENT], 4000, id="leaving a dent in a finer pad"),
+    ],
+)
+def test_a_touch_that_was_recorded_has_both_its_ends(
+    pad_format: str, scans: list[Scans], end_ms: int
+) -> None:
+    contact = Contact(Settings(sensor=SensorSettings(format=pad_format)))
+    counts = MadePad().counts(np.concatenate([nothing(3.0), *scans, nothing(2.0)]))
+    for number, pressure in enumerate(counts):
+        contact.update(Frame(round(number * 1000 / 54), number / 54, pressure))
+    assert contact.touch == (pytest.approx(3000, abs=100), pytest.approx(end_ms, abs=300))
 
 
 @pytest.mark.parametrize(
