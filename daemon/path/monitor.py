@@ -74,12 +74,12 @@ LASTING_CHECKS = 10
 # Mean noise above which light touches go unnoticed; a quieter taxel than HAART's counts like one of them.
 USUAL_NOISE_COUNTS, MOST_NOISE_COUNTS = 1.0, 1.4
 # A pad that restarts this often in a minute is degraded.
-OFTEN_RESTARTS, MINUTE_S = 3, 60.0
+OFTEN_RESTARTS = 3
 # Each taxel of HAART's fabric pad changes at least every 2 s: on a pad with noise, a taxel that stands still
-# for this long is broken. A pad has noise if three quarters of its taxels change in this share of the first
-# two seconds' frames without a hand, as on HAART's and the robot's pads; others are silent at rest.
+# for this long is broken. A pad has noise if three quarters of its taxels change in this share of the frames
+# of as long a time without a hand, as on HAART's and the robot's pads; others are silent at rest.
 STILL_S = 6.0
-NOISY_SHARE, FIRST_S = 0.3, 2.0
+NOISY_SHARE = 0.3
 
 
 class PadMonitor:
@@ -195,7 +195,7 @@ class _Restarts:
         if self._parser is not None and self._parser.counts.restarts != self._seen:
             self._seen = self._parser.counts.restarts
             self._at_s.append(self._now_s)
-        is_often = self._at_s[-1] - self._at_s[0] <= MINUTE_S and self._now_s - self._at_s[-1] <= MINUTE_S
+        is_often = max(self._at_s[-1] - self._at_s[0], self._now_s - self._at_s[-1]) <= 60.0
         return {"restarts": FAULTS["restarts"].words.format(OFTEN_RESTARTS)} if is_often else {}
 
 
@@ -213,7 +213,7 @@ class TaxelFaults:
         pressure, passed_s = np.stack([frame.pressure for frame in block]), passed(block)
         changed = (pressure[1:] != pressure[:-1]).mean(axis=0)
         self._still_s = np.where(changed > 0, 0.0, self._still_s + passed_s)
-        if self._first_s < FIRST_S:
+        if self._first_s < STILL_S:
             self._first_changed += changed * passed_s
             self._first_s += passed_s
         seldom_changed = np.sort(self._first_changed, axis=None)[ROWS * COLUMNS // 4]
