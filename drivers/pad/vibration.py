@@ -33,8 +33,8 @@ QUARTER_SHARE = 0.4
 # A fit whose phase differs by more is due to another vibration on an untouched pad, and is learned at once;
 # under a hand it is due to the hand or to a step of the rest.
 LIKE_RADIANS = 0.4
-# Weights and phase follow a fit by the first share, frequency by the second.
-LEARNED, TURN_LEARNED = 0.3, 0.1
+# Weights, phase and frequency follow a fit by this share.
+LEARNED = 0.3
 # If subtracting the sine quadruples the variance of half a window, the vibration has ended.
 ENDED = 4.0
 # Weights are learned from frames in which the sine is positive. If a period takes two to four frames, these
@@ -131,7 +131,7 @@ class Vibration:
         elif wave is not None and _has_ended(wave, frames):
             self._wave = None
         elif wave is not None and abs(off) < LIKE_RADIANS:
-            wave.turn += TURN_LEARNED * off / STRIDE_FRAMES
+            wave.turn += LEARNED * off / WINDOW_FRAMES
             wave.now *= cmath.exp(1j * LEARNED * off)
             if found is not None:
                 new = _learn(frames, wave.turn, wave.now)
