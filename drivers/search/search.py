@@ -5,10 +5,11 @@ together most is proposed if a hand presses the pad and touchd's own parser read
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from operator import attrgetter
+from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
@@ -72,38 +73,63 @@ class Finding:
     may_come: bool = False
 
 
+class Seen(NamedTuple):
+    """Frames of an unknown grid.
+
+    frame: how large one is, in words. shown: its lines and columns, if it is text. fits: possible numbers of
+    cells.
+    """
+
+    frame: str
+    rate_hz: float
+    shown: Grid | None
+    fits: list[int]
+
+
 def survey(chunks: Sequence[Chunk]) -> Survey | None:
     """Describe the frames in what arrived, without knowing the grid; None if there are none."""
     data, seconds = b"".join(chunk.data for chunk in chunks), seconds_of(chunks)
-    if (lines := text.lines_of(data)) is None:
-        table = next(binary.tables(data), None)
-        if table is None:
-            return None
-        length = table.shape[1] // 2
-        frame, rate_hz = f"{length} bytes a frame", len(data) / length / seconds
-        left = range(length - 1, max(length - binary.MOST_AROUND, 0), -1)
-        fits = [size // cell for size in left for cell in (1, 2, 4)]
-    else:
-        # Log lines among frames of one line look like separators.
-        found = text.printed(lines)
-        usual = max(found, key=lambda each: len(each.numbers) >= MIN_RATE_HZ * seconds, default=None)
-        if usual is None:
-            return None
-        count, height, width = usual.numbers.shape
-        frame, rate_hz = f"{height * width} numbers a frame", count / seconds
-        # Numbers that count from frame to frame, or from line to line, are not cells.
-        by_frame, by_line = (binary.counting(each) for each in (usual.numbers, usual.numbers.swapaxes(0, 1)))
-        shown = height, width - int((by_frame.all(axis=0) | by_line.all(axis=0)).sum())
-        if all(side in SIDES for side in shown):
-            return Survey(frame, rate_hz, shown, "as its lines show")
-        fits = [math.prod(shown)]
+    lines = text.lines_of(data)
+    seen = _of_bytes(data, seconds) if lines is None else _of_lines(lines, seconds)
+    if seen is None:
+        return None
+    frame, rate_hz, shown, fits = seen
+    if shown is not None and all(side in SIDES for side in shown):
+        return Survey(frame, rate_hz, shown, "as its lines show")
     for name, preset in PRESETS.items():
         if _is_read(preset, chunks):
             return Survey(frame, rate_hz, (preset.rows, preset.columns), f"as {name}")
+    return Survey(frame, rate_hz, _squarest(fits), "the squarest", is_shown=False)
+
+
+def _of_bytes(data: bytes, seconds: float) -> Seen | None:
+    table = next(binary.tables(data), None)
+    if table is None:
+        return None
+    length = table.shape[1] // 2
+    left = range(length - 1, max(length - binary.MOST_AROUND, 0), -1)
+    fits = [size // cell for size in left for cell in (1, 2, 4)]
+    return Seen(f"{length} bytes a frame", len(data) / length / seconds, None, fits)
+
+
+def _of_lines(lines: Sequence[text.TextLine], seconds: float) -> Seen | None:
+    # Log lines among frames of one line look like separators.
+    found = text.printed(lines)
+    usual = max(found, key=lambda each: len(each.numbers) >= MIN_RATE_HZ * seconds, default=None)
+    if usual is None:
+        return None
+    count, height, width = usual.numbers.shape
+    # Numbers that count from frame to frame, or from line to line, are not cells.
+    by_frame, by_line = (binary.counting(each) for each in (usual.numbers, usual.numbers.swapaxes(0, 1)))
+    shown = height, width - int((by_frame.all(axis=0) | by_line.all(axis=0)).sum())
+    return Seen(f"{height * width} numbers a frame", count / seconds, shown, [math.prod(shown)])
+
+
+def _squarest(fits: Iterable[int]) -> Grid | None:
+    """Return the squarest grid with one of these numbers of cells, at least as wide as high."""
     sides = ((rows, each // rows) for each in fits for rows in SIDES if each % rows == 0)
     grids = (each for each in sides if each[0] <= each[1] and each[1] in SIDES)
-    squarest = min(grids, key=lambda grid: grid[1] / grid[0], default=None)
-    return Survey(frame, rate_hz, squarest, "the squarest", is_shown=False)
+    return min(grids, key=lambda grid: grid[1] / grid[0], default=None)
 
 
 def search(chunks: Sequence[Chunk], grid: Grid | None) -> Finding:
@@ -120,7 +146,11 @@ def search(chunks: Sequence[Chunk], grid: Grid | None) -> Finding:
     best = max(placements(chunks, grid), key=partial(_fit, chunks), default=None) if grid else None
     if best is None:
         return Finding(None, _why_none_fits(data, seen or survey(chunks), grid), saw)
-    best = Placement(settled(best), best.values)
+    return _judged(Placement(settled(best), best.values), chunks, saw)
+
+
+def _judged(best: Placement, chunks: Sequence[Chunk], saw: str) -> Finding:
+    """Propose a placement if a hand proves it and touchd's own parser reads what arrived."""
     may_come = bool(missing := objection(best))
     described = best.described if may_come else _completed(best.described, chunks)
     missing = missing or _unexplained(best, described, chunks)

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.text import ended_at, lines_in, numbers_in
@@ -90,22 +91,37 @@ def printed(lines: Sequence[TextLine]) -> Iterator[Printed]:
         return
     numbers = leads[:, 1:]
     falls = (np.diff(leads[:, :MOST_BESIDE], axis=0) < 0).T
-    ends = Counter(end for _, end in lines if end and end.isprintable())
-    for end in ("", *(end for end, _ in ends.most_common(MOST_ENDS))):
+    for end in ("", *_usual_ends(lines)):
         ended = np.cumsum([0, *(after.endswith(end) for _, after in lines)])
         # Without an end, any other line separates frames. A label or a leading number that falls does, too.
         is_split = np.diff(ended[at]) > (0 if end else 1)
         for skip, fall in enumerate(falls):
             is_split = is_split | fall
-            # The first and the last lines may be parts of frames.
-            begins = np.flatnonzero(is_split) + 1
-            lengths = np.diff(begins)
-            length = int(np.bincount(lengths).argmax()) if len(lengths) >= LEAST_FRAMES else 1
-            whole = begins[:-1][lengths == length]
-            if length > 1 and len(whole) * length >= MOSTLY * lengths.sum():
-                yield Printed(numbers[whole[:, None] + np.arange(length)], skip, end)
+            if (whole := _whole_frames(is_split)) is not None:
+                yield Printed(numbers[whole], skip, end)
     for skip in range(MOST_BESIDE + 1):
         yield Printed(numbers[:, None], skip, "")
+
+
+def _usual_ends(lines: Sequence[TextLine]) -> list[str]:
+    ends = Counter(end for _, end in lines if end and end.isprintable())
+    return [end for end, _ in ends.most_common(MOST_ENDS)]
+
+
+def _whole_frames(is_split: NDArray[np.bool_]) -> NDArray[np.intp] | None:
+    """Return (frames, lines), the lines of each whole frame; None unless most frames are equally long.
+
+    is_split: whether a frame ends between a line and the next.
+    """
+    # The first and the last lines may be parts of frames.
+    begins = np.flatnonzero(is_split) + 1
+    lengths = np.diff(begins)
+    length = int(np.bincount(lengths).argmax()) if len(lengths) >= LEAST_FRAMES else 1
+    whole = begins[:-1][lengths == length]
+    if length == 1 or len(whole) * length < MOSTLY * lengths.sum():
+        return None
+    lines: NDArray[np.intp] = whole[:, None] + np.arange(length)
+    return lines
 
 
 def placements(lines: Sequence[TextLine], rows: int, columns: int) -> Iterator[Placement]:
