@@ -75,24 +75,17 @@ def tables(scores: Scores) -> dict[str, str]:
     everybody = {TITLES[key]: at(getattr(scores, key), FINAL) for key in DETAILED}
     scene = f"only {', '.join(SCENE)} possible"
     lengths = [f"{length / FRAME_RATE_HZ:.2f} s" for length in LENGTHS]
-    return {
+    gestures = [label for label in scores.labels if label != OTHER]
+    return _more_tables(sets) | {
         "model": f"Model: `{scores.model}`, sha256 {scores.model_sha256[:16]}….",
         "summary": table(
             ("people", *lengths, "calibration error"),
             [_summary(title, getattr(scores, key)) for key, title in TITLES.items()],
         ),
-        "lengths": table(
-            ("frames", *sets),
-            [(n, *(_percent(at(each, n).accuracy) for each in sets.values())) for n in SHOWN_LENGTHS],
-        ),
         "gestures": table(
             ("gesture", *final),
             [
-                *(
-                    (label, *(_share(each.per_class, label) for each in final.values()))
-                    for label in scores.labels
-                    if label != OTHER
-                ),
+                *((label, *(_share(each.per_class, label) for each in final.values())) for label in gestures),
                 (scene, *(_percent(each.scene_accuracy) for each in final.values())),
             ],
         ),
@@ -102,6 +95,16 @@ def tables(scores: Scores) -> dict[str, str]:
                 (title, *_spread(each.per_participant), *_extremes(each.per_condition))
                 for title, each in everybody.items()
             ],
+        ),
+    }
+
+
+def _more_tables(sets: Mapping[str, Evaluation]) -> dict[str, str]:
+    """Return the tables by length of a touch, and by what disturbs it."""
+    return {
+        "lengths": table(
+            ("frames", *sets),
+            [(n, *(_percent(at(each, n).accuracy) for each in sets.values())) for n in SHOWN_LENGTHS],
         ),
         "disturbed": table(
             ("disturbance", *sets),

@@ -102,6 +102,14 @@ def export(network: TGC, metadata: ModelMetadata, path: Path) -> None:
     assert program is not None
     proto = program.model_proto
     _forget_where_it_was_made(proto)
+    _describe(proto, metadata, dict(zip(names, _flat(start), strict=True)))
+    onnx.checker.check_model(proto)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    onnx.save(proto, path)
+
+
+def _describe(proto: onnx.ModelProto, metadata: ModelMetadata, start: dict[str, Tensor]) -> None:
+    """Add the metadata, and the state at the start of a touch as the inputs' defaults."""
     # The exporter fixes the state's batch size to one touch; make it the batch size of the windows.
     del proto.graph.value_info[:]
     for entry in proto.graph.input:
@@ -109,14 +117,10 @@ def export(network: TGC, metadata: ModelMetadata, path: Path) -> None:
             entry.type.tensor_type.shape.dim[0].dim_param = "touches"
     # An input that has an initializer may be left out (ONNX IR, "default values").
     proto.graph.initializer.extend(
-        onnx.numpy_helper.from_array(tensor.numpy(), name)
-        for name, tensor in zip(names, _flat(start), strict=True)
+        onnx.numpy_helper.from_array(tensor.numpy(), name) for name, tensor in start.items()
     )
     entry = proto.metadata_props.add()
     entry.key, entry.value = METADATA_KEY, msgspec.json.encode(metadata).decode()
-    onnx.checker.check_model(proto)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    onnx.save(proto, path)
 
 
 def _gather(x: FLOAT, indices: Sequence[INT64]) -> FLOAT:

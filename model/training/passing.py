@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from touchd.drivers.frame import NO_TOUCH, OTHER, ROWS
@@ -59,33 +60,18 @@ class Passing:
             contacts(each, is_soft=is_soft) if each.gesture in (*LEAVES, OTHER) else []
             for each, is_soft in zip(recordings, soft, strict=True)
         ]
-        shifts = [
-            shift_of_rest(each.counts, recordings[resting[0]].counts)
-            if each.gesture in (*LEAVES, "tickle") and resting
-            else np.zeros((ROWS, ROWS), np.float32)
+        shifts = [_shift(recordings, *each) for each in zip(recordings, rests, strict=True)]
+        is_touch = [
+            each.gesture != NO_TOUCH and bool(resting)
             for each, resting in zip(recordings, rests, strict=True)
         ]
-
-        def table(rows: Sequence[Sequence[int]]) -> Tensor:
-            most = max(1, *map(len, rows))
-            filled = torch.zeros(len(rows), most, dtype=torch.long)
-            for row, values in zip(filled, rows, strict=True):
-                row[: len(values)] = torch.tensor(values, dtype=torch.long)
-            return filled.to(device)
-
         return cls(
-            starts=table([[first for first, _ in each] for each in found]),
-            stops=table([[stop for _, stop in each] for each in found]),
+            starts=_table([[first for first, _ in each] for each in found]).to(device),
+            stops=_table([[stop for _, stop in each] for each in found]).to(device),
             contacts=torch.tensor([len(each) for each in found], device=device),
             more=torch.tensor([MORE_CONTACTS.get(each.gesture, 0) for each in recordings], device=device),
-            touches=torch.tensor(
-                [
-                    each.gesture != NO_TOUCH and bool(resting)
-                    for each, resting in zip(recordings, rests, strict=True)
-                ],
-                device=device,
-            ),
-            rests=table(rests),
+            touches=torch.tensor(is_touch, device=device),
+            rests=_table(rests).to(device),
             rest_counts=torch.tensor([len(each) for each in rests], device=device),
             shifts=torch.from_numpy(np.stack(shifts)).to(device),
             soft=torch.tensor(soft, device=device),
@@ -160,6 +146,21 @@ class Passing:
             torch.where(has_contacts, start.float(), anywhere),
             torch.where(has_contacts, stop.float(), anywhere + piece),
         )
+
+
+def _table(rows: Sequence[Sequence[int]]) -> Tensor:
+    """Return (R, most) rows of different lengths, filled up with zeros."""
+    filled = torch.zeros(len(rows), max(1, *map(len, rows)), dtype=torch.long)
+    for row, values in zip(filled, rows, strict=True):
+        row[: len(values)] = torch.tensor(values, dtype=torch.long)
+    return filled
+
+
+def _shift(recordings: Sequence[Recording], touch: Recording, rests: Sequence[int]) -> NDArray[np.float32]:
+    """Return by how much (8, 8) counts of rest under a touch differ from those of the pad at rest."""
+    if touch.gesture in (*LEAVES, "tickle") and rests:
+        return shift_of_rest(touch.counts, recordings[rests[0]].counts)
+    return np.zeros((ROWS, ROWS), np.float32)
 
 
 def _at(frames: Frames, chosen: Tensor, places: Tensor) -> Tensor:

@@ -115,17 +115,22 @@ class TouchSampler:
         # What a touch will be hardly shows in its first frames.
         is_short = (batch.lengths < SOON_FRAMES) & is_unknown[:, None]
         batch.weights[is_short] *= SHORT_WEIGHT
-        plain = torch.nonzero(~is_unknown & ~is_slow & self.passing.touches[chosen]).flatten().tolist()
-        for place in plain:
-            chance_of = float(self.made.random())
-            if chance_of < own.changed / (1.0 - own.unknown - own.slow):
-                self._change(batch, place, int(chosen[place]))
-            elif chance_of < (own.changed + own.both) / (1.0 - own.unknown - own.slow):
-                self._add_hand(batch, place, int(chosen[place]), still[place])
+        self._vary_hands(batch, ~is_unknown & ~is_slow & self.passing.touches[chosen], chosen, still)
         soft = self.soft[chosen]
         made_soft = soft & is_unknown & ~is_real
         counts = self._on_pads(batch.counts, soft, made_soft)
         return self._mix(replace(batch, counts=vary(counts, varied, self.rng)), soft)
+
+    def _vary_hands(self, batch: Touches, plain: Tensor, chosen: Tensor, still: Tensor) -> None:
+        """Change the gesture of some plain touches (B,) bool, and add a second hand to others."""
+        own = self.refined
+        share = 1.0 - own.unknown - own.slow
+        for place in torch.nonzero(plain).flatten().tolist():
+            chance = float(self.made.random())
+            if chance < own.changed / share:
+                self._change(batch, place, int(chosen[place]))
+            elif chance < (own.changed + own.both) / share:
+                self._add_hand(batch, place, int(chosen[place]), still[place])
 
     def _still(self, chosen: Tensor, T: int) -> Tensor:
         """Return (B, T, 8, 8) of the pads at rest."""

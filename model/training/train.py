@@ -73,14 +73,7 @@ class Training:
         self.labels = self.sampler.labels
         self.rng = self.sampler.rng
 
-        networks = []
-        for own in settings:
-            torch.manual_seed(own.seed)
-            networks.append(dict(TGC(own.network, len(self.labels)).named_parameters(prefix="network")))
-        self.weights = {
-            name: torch.stack([network[name].detach() for network in networks]).to(device).requires_grad_()
-            for name in networks[0]
-        }
+        self.weights = _first_weights(settings, len(self.labels), device)
         self.average = {name: weights.detach().clone() for name, weights in self.weights.items()}
         base = AtLengths(TGC(self.settings.network, len(self.labels))).to(device)
         self._ask = torch.compile(at_once(base)) if device == "cuda" else in_turn(base)
@@ -222,18 +215,25 @@ class Training:
             ) from error
 
 
+def _first_weights(settings: Sequence[TrainSettings], classes: int, device: str) -> dict[str, Tensor]:
+    """Return the weights of new networks, (N, ...) by name."""
+    networks = []
+    for own in settings:
+        torch.manual_seed(own.seed)
+        networks.append(dict(TGC(own.network, classes).named_parameters(prefix="network")))
+    return {
+        name: torch.stack([network[name].detach() for network in networks]).to(device).requires_grad_()
+        for name in networks[0]
+    }
+
+
 def train(recordings: Sequence[Recording], jobs: Sequence[Job], runs: Path, device: str) -> list[Checkpoint]:
     """Train networks side by side on whole scans; save them in `runs` once a minute, resume from there.
 
     All must have been saved after the same step, or none.
     """
-    training = Training(recordings, [job.settings for job in jobs], device)
     paths = [runs / job.name / CHECKPOINT_NAME for job in jobs]
-    if any(path.exists() for path in paths):
-        training.resume([checkpoint.load(path) for path in paths])
-    elif jobs[0].begins_from is not None:
-        begins = [runs / str(job.begins_from) / CHECKPOINT_NAME for job in jobs]
-        training.begin_from([checkpoint.load(path) for path in begins])
+    training = _begun(Training(recordings, [job.settings for job in jobs], device), jobs, runs, paths)
     name = jobs[0].name if len(jobs) == 1 else f"{len(jobs)} networks"
     steps = training.settings.steps
     saved_at = time.monotonic()
@@ -247,6 +247,16 @@ def train(recordings: Sequence[Recording], jobs: Sequence[Job], runs: Path, devi
                     checkpoint.save(snapshot, path)
                 saved_at = time.monotonic()
     return training.snapshots()
+
+
+def _begun(training: Training, jobs: Sequence[Job], runs: Path, paths: Sequence[Path]) -> Training:
+    """Let a training go on where it was saved, if it was, or begin from other networks."""
+    if any(path.exists() for path in paths):
+        training.resume([checkpoint.load(path) for path in paths])
+    elif jobs[0].begins_from is not None:
+        begins = [runs / str(job.begins_from) / CHECKPOINT_NAME for job in jobs]
+        training.begin_from([checkpoint.load(path) for path in begins])
+    return training
 
 
 def at_once(network: nn.Module) -> Ask:

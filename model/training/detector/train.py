@@ -71,23 +71,22 @@ def train(composer: Composer, settings: DetectorSettings, folder: Path) -> Detec
             losses.append(_learn(network, optimizer, pieces, is_own=is_own))
             step += 1
             progress.update()
-            follow = min(1.0 - settings.average_decay, 1.0) if step > 100 else 1.0
-            with torch.no_grad():
-                for mean, now in zip(average.parameters(), network.parameters(), strict=True):
-                    mean.lerp_(now, follow)
+            _follow(average, network, 1.0 - settings.average_decay if step > 100 else 1.0)
             if step == settings.steps or time.monotonic() - saved_at > SAVED_EVERY_S:
                 progress.set_postfix(loss=f"{np.mean(losses[-50:]):.4f}")
-                state = {
-                    "step": step,
-                    "network": network.state_dict(),
-                    "average": average.state_dict(),
-                    "optimizer": optimizer.state_dict(),
-                }
+                state = {"step": step, "optimizer": optimizer.state_dict()}
+                state |= {"network": network.state_dict(), "average": average.state_dict()}
                 folder.mkdir(parents=True, exist_ok=True)
                 with whole_file(path) as partial:
                     torch.save(state, partial)
                 saved_at = time.monotonic()
     return average.eval()
+
+
+def _follow(average: DetectorNetwork, network: DetectorNetwork, share: float) -> None:
+    with torch.no_grad():
+        for mean, now in zip(average.parameters(), network.parameters(), strict=True):
+            mean.lerp_(now, share)
 
 
 def _learn(
