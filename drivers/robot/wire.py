@@ -1,11 +1,12 @@
 """A session with a robot in QiMessaging, NAOqi's protocol, on any computer."""
 
+import re
 import select
 import socket
 import struct
 import threading
 from contextlib import suppress
-from typing import Any, TypeAlias
+from typing import Any
 
 from touchd.drivers import hosts
 from touchd.drivers.errors import MAX_LINE_BYTES, TouchdError, one_line, reason
@@ -15,7 +16,7 @@ from touchd.drivers.robot.values import read, write
 # Magic, id, bytes that follow, version, type, flags, service, object, action.
 HEADER = struct.Struct("<4sIIHBBIII")
 MAGIC = b"\x42\xde\xad\x42"
-CALL, REPLY, ERROR, CANCELED = 1, 2, 3, 8
+CALL, REPLY, ERROR = 1, 2, 3
 # Ten times the longest answer, which lists a service's methods. What is read of it takes ten times as much.
 MOST_BYTES = 400_000
 
@@ -81,7 +82,7 @@ class Connection:
         try:
             if kind == REPLY:
                 return read(returns, answer)
-            why = str(read("m", answer))[:MAX_LINE_BYTES] if kind == ERROR else "canceled"
+            why = str(read("m", answer))[:MAX_LINE_BYTES]
         except ValueError as error:
             why = f"the answer cannot be read ({error})"
         raise RobotRefused(one_line(" ".join(f"{wait.what}: {why}".split())))
@@ -96,7 +97,7 @@ class Connection:
             if magic != MAGIC or size > MOST_BYTES:
                 raise ConnectionError("what answers there does not speak NAOqi's protocol")
             payload = self._received(size, wait)
-            if number == self._number and kind in (REPLY, ERROR, CANCELED):
+            if number == self._number and kind in (REPLY, ERROR):
                 return kind, payload
 
     def _received(self, size: int, wait: Wait) -> bytearray:
@@ -111,10 +112,6 @@ class Connection:
         return data
 
 
-# Action, name, and the signatures of the parameters and of the answer.
-Method: TypeAlias = tuple[int, str, str, str]
-
-
 class WireSession:
     """A RobotSession without a library or a thread of its own."""
 
@@ -124,16 +121,10 @@ class WireSession:
         self._stopping = stopping
         # By port: the directory's, and those to services in other processes.
         self._connections: dict[int, Connection] = {}
-        self._services: dict[str, tuple[Connection, int, list[Method]]] = {}
+        self._services: dict[str, tuple[Connection, int, dict[int, Any]]] = {}
 
     def connect(self) -> None:
-        _, host, port = self._settings.address
-        try:
-            line = hosts.connect(host, port, self._limits.connect_s, self._stopping)
-            self._family, self._peer = line.family, line.getpeername()
-        except OSError as error:
-            raise RobotLost(f"connecting: {reason(error)}") from error
-        self._connections[port] = Connection(line, self._settings, self._wait("connecting"))
+        self._connection_to(self._settings.address.port, self._wait("connecting", self._limits.connect_s))
 
     def connected(self) -> bool:
         directory = self._connections.get(self._settings.address.port)
@@ -156,38 +147,42 @@ class WireSession:
         for connection in self._connections.values():
             connection.close()
 
-    def _wait(self, what: str, limit_s: float | None = None) -> Wait:
-        return Wait(what, self._limits.connect_s if limit_s is None else limit_s, self._stopping)
+    def _wait(self, what: str, limit_s: float) -> Wait:
+        return Wait(what, limit_s, self._stopping)
 
-    def _find(self, service: str) -> tuple[Connection, int, list[Method]]:
+    def _find(self, service: str) -> tuple[Connection, int, dict[int, Any]]:
         """Return a service's connection, number and methods; raises RobotLost or RobotRefused."""
-        wait = self._wait(f"looking for {service}")
-        directory = self._connections[self._settings.address.port]
-        _, number, _, _, endpoints, _ = directory.call(FIND_SERVICE, write("s", service), SERVICE_INFO, wait)
-        connection = self._connection_to(endpoints, wait)
-        (listed,) = connection.call((number, OBJECT, LIST_METHODS), write("I", 0), METHODS, wait)
-        return connection, number, [(action, of[2], of[3], of[1]) for action, of in listed.items()]
-
-    def _connection_to(self, endpoints: list[str], wait: Wait) -> Connection:
-        """Return the connection to a service: the directory's, or one to the service's own process."""
+        wait = self._wait(f"looking for {service}", self._limits.connect_s)
         scheme, _, port = self._settings.address
-        offered = [each.rpartition(":")[2] for each in endpoints if each.startswith(f"{scheme}://")]
-        try:
-            if offered and str(port) not in offered:
-                port = int(offered[0])
-            if port not in self._connections or not self._connections[port].connected():
-                # At the address by which the robot was reached: it also names those in other networks.
-                there = self._family, (self._peer[0], port, *self._peer[2:])
-                line = hosts.dial([there], self._limits.connect_s, self._stopping)
-                self._connections[port] = Connection(line, self._settings, wait)
-        except (OSError, ValueError, OverflowError, RobotLost) as error:
-            raise RobotRefused(f"{wait.what}: {reason(error)}") from error
-        return self._connections[port]
+        connection = self._connections[port]
+        _, number, _, _, endpoints, _ = connection.call(FIND_SERVICE, write("s", service), SERVICE_INFO, wait)
+        found = (re.fullmatch(rf"{scheme}://.*:(\d{{1,5}})", endpoint) for endpoint in endpoints)
+        offered = [int(endpoint[1]) for endpoint in found if endpoint]
+        if offered and port not in offered:
+            try:
+                connection = self._connection_to(offered[0], wait)
+            except RobotLost as error:
+                raise RobotRefused(str(error)) from error
+        (methods,) = connection.call((number, OBJECT, LIST_METHODS), write("I", 0), METHODS, wait)
+        return connection, number, methods
+
+    def _connection_to(self, port: int, wait: Wait) -> Connection:
+        """Return the connection to a port of the robot; raises RobotLost."""
+        connection = self._connections.get(port)
+        if connection is None or not connection.connected():
+            try:
+                # The configured host: an endpoint may name the robot's address in another network.
+                host = self._settings.address.host
+                line = hosts.connect(host, port, self._limits.connect_s, self._stopping)
+            except (OSError, OverflowError) as error:
+                raise RobotLost(f"{wait.what}: {reason(error)}") from error
+            connection = self._connections[port] = Connection(line, self._settings, wait)
+        return connection
 
 
-def _fitting(methods: list[Method], what: str, arguments: tuple[object, ...]) -> tuple[int, bytes, str]:
+def _fitting(methods: dict[int, Any], what: str, arguments: tuple[object, ...]) -> tuple[int, bytes, str]:
     """Return the first method that takes these arguments, they in bytes, and what it returns."""
-    for action, name, takes, gives in methods:
+    for action, (_, gives, name, takes, *_) in methods.items():
         if name == what.partition(".")[2]:
             # A robot's method may have kinds of parameters that are unknown here.
             with suppress(ValueError):
