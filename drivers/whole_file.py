@@ -1,4 +1,4 @@
-"""Writes files atomically, even across a power failure; opens files to read without blocking."""
+"""Writes files atomically, even across a power failure; reads files, and secrets, without blocking."""
 
 import errno
 import os
@@ -7,9 +7,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from touchd.drivers.errors import TouchdError, reason, written_out
+
 PARTIAL = ".partial-"
 # For files about people: recordings, the journal, and what is derived from them.
 PRIVATE_MODE = 0o640
+MOST_SECRET_BYTES = 4096
 NO_LINKS = (errno.EPERM, errno.EACCES, errno.EOPNOTSUPP, errno.ENOSYS)
 
 
@@ -76,3 +79,16 @@ def without_waiting(path: str, flags: int) -> int:
         raise OSError(errno.EINVAL, "Is a device", path)
     os.set_blocking(fd, True)
     return fd
+
+
+def secret_in(file: str, setting: str, kind: type[TouchdError]) -> str:
+    """Return the password or token in a file; raises `kind` with the setting that names the file."""
+    try:
+        # An editor on Windows may put a mark before it.
+        with open(written_out(file), encoding="utf-8-sig", opener=without_waiting) as opened:
+            secret = opened.read(MOST_SECRET_BYTES).strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise kind(f"{setting} {file} cannot be read ({reason(error)}); check path and owner") from error
+    if not secret:
+        raise kind(f"{setting} {file} is empty; put the password or token there")
+    return secret

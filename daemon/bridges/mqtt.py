@@ -26,11 +26,10 @@ from touchd.daemon.path.events import UNCERTAIN, Event, SensorEvent, TouchBegan,
 from touchd.drivers import hosts
 from touchd.drivers.errors import written_out
 from touchd.drivers.frame import Frame
-from touchd.drivers.whole_file import without_waiting
+from touchd.drivers.whole_file import secret_in
 
 KEEPALIVE_S = 10
 CONNECT_S = 3.0
-MAX_PASSWORD_BYTES = 4096
 STOPPED, LOST = "stopped", "lost"
 HOME_ASSISTANT_IS_THERE = b"online"
 # How a broker answers that knows only MQTT 3.1.1.
@@ -183,7 +182,8 @@ class MqttBridge(Bridge):
         """Give a client the password and what TLS needs; raises BridgeError."""
         settings = self._settings
         if settings.user is not None:
-            password = _read_password(settings.password_file) if settings.password_file else None
+            file = settings.password_file
+            password = secret_in(file, "mqtt.password_file", BridgeError) if file else None
             client.username_pw_set(settings.user, password)
         if settings.tls:
             client.tls_set_context(_tls(settings.ca_file))
@@ -282,19 +282,6 @@ def announcements(discovery: str, topic: str, labels: Sequence[str]) -> dict[str
 def _pressure(frame: Frame) -> bytes:
     fields = {"time": timestamp(arrival_s(frame)), "sensor_ms": frame.sensor_ms}
     return msgspec.json.encode(fields | {"pressure": frame.pressure.tolist()})
-
-
-def _read_password(file: str) -> str:
-    try:
-        with open(written_out(file), encoding="utf-8-sig", opener=without_waiting) as opened:
-            password = opened.read(MAX_PASSWORD_BYTES).strip()
-    except (OSError, UnicodeDecodeError) as error:
-        raise BridgeError(
-            f"mqtt.password_file: {file} cannot be read ({error}); check path and owner"
-        ) from error
-    if not password:
-        raise BridgeError(f"mqtt.password_file: {file} is empty; put the password there")
-    return password
 
 
 def _tls(ca_file: str | None) -> ssl.SSLContext:

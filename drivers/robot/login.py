@@ -1,32 +1,17 @@
 """What robot and touchd prove to each other: the robot its certificate, touchd the token of NAOqi 2.9."""
 
 import hashlib
-import os
 import socket
 import ssl
 from collections.abc import Callable
 
-from touchd.drivers.errors import written_out
 from touchd.drivers.robot.session import RobotError, RobotLost, RobotSettings
-
-MOST_TOKEN_BYTES = 4096
+from touchd.drivers.whole_file import secret_in
 
 
 def read_token(settings: RobotSettings) -> str:
     """Return the token; raises RobotError with one line if it cannot be read, or if anybody might get it."""
-    path = str(settings.token_file)
-    try:
-        # A pipe that nobody writes to must not hold the daemon up.
-        fd = os.open(written_out(path), os.O_RDONLY | os.O_NONBLOCK)
-        with open(fd, "rb", buffering=0) as file:
-            token = (file.read(MOST_TOKEN_BYTES + 1) or b"").decode("utf-8-sig").strip()
-    except (OSError, UnicodeDecodeError) as error:
-        why = error.strerror if isinstance(error, OSError) else "not text"
-        raise RobotError(f"robot.token_file {path} cannot be read ({why})") from error
-    if not 0 < len(token) <= MOST_TOKEN_BYTES:
-        raise RobotError(
-            f"robot.token_file {path} is empty or missing, or larger than 4096 bytes, so no token"
-        )
+    token = secret_in(str(settings.token_file), "robot.token_file", RobotError)
     if not settings.certificate:
         raise RobotError(
             f"robot {settings.url}: whoever answers there would get the token; set robot.certificate to the "

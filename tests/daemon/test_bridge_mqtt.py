@@ -201,7 +201,7 @@ def test_a_refusal_is_logged_once_and_a_corrected_password_used(
 def test_a_password_file_without_a_password_is_refused_at_once(port: int, tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     for file, why in (("nowhere", "cannot be read"), ("pipe", "is empty")):
-        with pytest.raises(BridgeError, match=rf"mqtt\.password_file: {tmp_path}/{file} {why}"):
+        with pytest.raises(BridgeError, match=rf"mqtt\.password_file {tmp_path}/{file} {why}"):
             made(port, user="robot", password_file=str(tmp_path / file))
 
 
