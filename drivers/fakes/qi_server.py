@@ -89,7 +89,7 @@ class QiServer:
                     continue
                 try:
                     kind, answer = REPLY, self._answer(target, payload)
-                except (RuntimeError, LookupError, ValueError) as error:
+                except (RuntimeError, LookupError, ValueError, struct.error) as error:
                     kind, answer = ERROR, write("m", str(error))
                 client.sendall(HEADER.pack(MAGIC, number, len(answer), version, kind, 0, *target) + answer)
 

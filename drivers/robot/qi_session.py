@@ -24,9 +24,7 @@ SLICE_MS = 50
 
 def load_qi() -> Any:
     """Return the module qi, silenced; raises RobotError with one line when it cannot be loaded."""
-    # libqi reads these when it is loaded: notice a network that drops everything after 10 s, not 30, and do
-    # not allocate whatever a message claims.
-    os.environ.setdefault("QI_TCP_PING_TIMEOUT", "10")
+    # libqi reads this when it is loaded, so that it does not allocate whatever a message claims.
     os.environ.setdefault("QI_MAX_MESSAGE_PAYLOAD", "2000000")
     try:
         qi = importlib.import_module("qi")

@@ -16,15 +16,7 @@ def read(signature: str, data: bytes | bytearray) -> Any:
     """Return the value at the beginning of the data, maps as dicts; raises ValueError."""
     try:
         return _Reader(data).value(signature)
-    except (TypeError, struct.error, RecursionError) as error:
-        raise ValueError(str(error)) from error
-
-
-def write(signature: str, value: Any) -> bytes:
-    """Return a value's bytes; raises ValueError if it does not fit its signature."""
-    try:
-        return _written(signature, value)
-    except struct.error as error:
+    except (TypeError, RecursionError) as error:
         raise ValueError(str(error)) from error
 
 
@@ -69,7 +61,8 @@ class _Reader:
         return taken
 
 
-def _written(signature: str, value: Any) -> bytes:
+def write(signature: str, value: Any) -> bytes:
+    """Return a value's bytes; raises ValueError or struct.error if it does not fit its signature."""
     kind = signature[:1]
     if kind in NUMBERS:
         return NUMBERS[kind].pack(value)
@@ -78,14 +71,14 @@ def _written(signature: str, value: Any) -> bytes:
         return NUMBERS["I"].pack(len(data)) + data
     if kind == "m" and type(value) in SIGNATURES:
         own = SIGNATURES[type(value)]
-        return _written("s", own) + _written(own, value)
+        return write("s", own) + write(own, value)
     if kind == "[" and isinstance(value, list | tuple):
         (element,) = inside(signature)
-        return NUMBERS["I"].pack(len(value)) + b"".join(_written(element, each) for each in value)
+        return NUMBERS["I"].pack(len(value)) + b"".join(write(element, each) for each in value)
     if kind == "{" and isinstance(value, Mapping):
-        return _written(f"[({signature[1:-1]})]", list(value.items()))
+        return write(f"[({signature[1:-1]})]", list(value.items()))
     if kind == "(" and isinstance(value, list | tuple):
-        return b"".join(_written(*pair) for pair in zip(inside(signature), value, strict=True))
+        return b"".join(write(*pair) for pair in zip(inside(signature), value, strict=True))
     if kind == "v" and value is None:
         return b""
     raise ValueError(f"a {type(value).__name__} is not of the kind {signature[:20]!r}")
