@@ -39,7 +39,6 @@ class RobotLimits:
     stale_s: what has waited longer than this is dropped, since a late answer is worse than none.
     heartbeat_s: an idle robot is asked something this often. With call_s it bounds how long a hang goes
     unnoticed, because a hung robot still looks connected.
-    backoff_first_s, backoff_cap_s: pause before another attempt, doubling from the one to the other.
     capacity: messages, or reactions, that wait at most; the oldest is dropped.
     """
 
@@ -48,8 +47,6 @@ class RobotLimits:
     action_s: float = 600.0
     stale_s: float = 2.0
     heartbeat_s: float = 0.3
-    backoff_first_s: float = 0.1
-    backoff_cap_s: float = 1.0
     capacity: int = 64
 
 

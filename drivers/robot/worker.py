@@ -44,7 +44,7 @@ class Worker(ABC, Generic[Item]):
         self._faults = FaultLog(log)
         self._wake = Signal()
         self._queue: DroppingQueue[tuple[float, Item]] = DroppingQueue(limits.capacity, filled=self._wake)
-        self._backoff = Backoff(limits.backoff_first_s, limits.backoff_cap_s)
+        self._backoff = Backoff(first_s=0.1, cap_s=1.0)
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
 
