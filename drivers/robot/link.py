@@ -13,6 +13,7 @@ from functools import partial
 from typing import NamedTuple
 
 from touchd.drivers.frame import DEFAULT_PAD
+from touchd.drivers.robot.qi_session import QiSession, load_qi
 from touchd.drivers.robot.session import (
     OpenSession,
     RobotLimits,
@@ -52,10 +53,8 @@ class Act:
 class RobotLink(Worker[Told]):
     """Sends answers to a robot and has it act.
 
-    Raises PREFIX/Detail and PREFIX/Gesture for each answer that is put, and PREFIX/Status when it changes. A
-    pad with a name has its own, PREFIX/NAME/Gesture and so on. The Gesture is a plain string that is removed
-    from the robot's memory after SHOWN_S, as the robot's own ALTactileGesture is. The Detail is raised first,
-    so that a program that wakes on the Gesture finds the Detail that belongs to it.
+    Raises PREFIX/Detail, then PREFIX/Gesture for each answer that is put, so that a program that wakes on the
+    Gesture finds its Detail; and PREFIX/Status when it changes. For a pad with a name PREFIX/NAME/Gesture, …
     settings: checked here; raises RobotError with one line when the user must change something.
     on_state: called from the link's thread when the robot comes ("up", "") or goes ("down", why).
     open_session: how to reach the robot, instead of the configured client.
@@ -178,14 +177,14 @@ class ActWorker(Worker[Sequence[Act]]):
     def handle(self, session: RobotSession, item: Sequence[Act]) -> None:
         """Carry acts out; refused ones are skipped, and raised as RobotRefused at the end."""
         refused: list[str] = []
-        for left, act in zip(range(len(item) - 1, -1, -1), item, strict=True):
+        for act in item:
             act.on_begin()
             try:
                 session.call(act.service, act.method, *act.arguments, limit_s=self._limits.action_s)
             except RobotRefused as error:
                 refused.append(str(error))
             except RobotLost as lost:
-                log.warning("an action is given up, with %d after it: %s", left, lost)
+                log.warning("an action is given up, with those after it: %s", lost)
                 raise
         if refused:
             raise RobotRefused("; ".join(refused))
@@ -194,12 +193,11 @@ class ActWorker(Worker[Sequence[Act]]):
 def client_of(settings: RobotSettings) -> OpenSession:
     """Return what reaches the robot, with its login checked; raises RobotError."""
     if settings.user is not None:
+        # It loads ssl, 4.5 MB, which a robot without a login does not need.
         from touchd.drivers.robot.login import read_token
 
         read_token(settings)
     if settings.client == "touchd":
         return WireSession
-    from touchd.drivers.robot.qi_session import QiSession, load_qi
-
     load_qi()
     return QiSession

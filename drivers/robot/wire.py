@@ -124,11 +124,11 @@ class WireSession:
         self._services: dict[str, tuple[Connection, int, dict[int, Any]]] = {}
 
     def connect(self) -> None:
-        self._connection_to(self._settings.address.port, self._wait("connecting", self._limits.connect_s))
+        wait = Wait("connecting", self._limits.connect_s, self._stopping)
+        self._connection_to(self._settings.address.port, wait)
 
     def connected(self) -> bool:
-        directory = self._connections.get(self._settings.address.port)
-        return directory is not None and directory.connected()
+        return self._connections[self._settings.address.port].connected()
 
     def call(self, service: str, method: str, *arguments: object, limit_s: float) -> object:
         what = f"{service}.{method}"
@@ -137,7 +137,8 @@ class WireSession:
                 self._services[service] = self._find(service)
             connection, number, methods = self._services[service]
             action, payload, gives = _fitting(methods, what, arguments)
-            return connection.call((number, OBJECT, action), payload, gives, self._wait(what, limit_s))
+            wait = Wait(what, limit_s, self._stopping)
+            return connection.call((number, OBJECT, action), payload, gives, wait)
         except RobotRefused:
             # The service may have ended; once it is back, it has another number.
             self._services.pop(service, None)
@@ -147,12 +148,9 @@ class WireSession:
         for connection in self._connections.values():
             connection.close()
 
-    def _wait(self, what: str, limit_s: float) -> Wait:
-        return Wait(what, limit_s, self._stopping)
-
     def _find(self, service: str) -> tuple[Connection, int, dict[int, Any]]:
         """Return a service's connection, number and methods; raises RobotLost or RobotRefused."""
-        wait = self._wait(f"looking for {service}", self._limits.connect_s)
+        wait = Wait(f"looking for {service}", self._limits.connect_s, self._stopping)
         scheme, _, port = self._settings.address
         connection = self._connections[port]
         _, number, _, _, endpoints, _ = connection.call(FIND_SERVICE, write("s", service), SERVICE_INFO, wait)
@@ -185,6 +183,6 @@ def _fitting(methods: dict[int, Any], what: str, arguments: tuple[object, ...]) 
     for action, (_, gives, name, takes, *_) in methods.items():
         if name == what.partition(".")[2]:
             # A robot's method may have kinds of parameters that are unknown here.
-            with suppress(ValueError):
+            with suppress(ValueError, struct.error):
                 return action, write(takes, arguments), gives
     raise RobotRefused(f"{what}: there is none that takes these arguments")

@@ -145,7 +145,9 @@ def test_an_action_that_takes_too_long_is_cut_and_reported(
         link.act([say("pat"), say("rub")])
         wait_for(lambda: "given up" in caplog.text)
         states.wait_for("up")
-    assert "an action is given up, with 1 after it: ALTextToSpeech.say: no answer within 0.3" in caplog.text
+    assert (
+        "an action is given up, with those after it: ALTextToSpeech.say: no answer within 0.3" in caplog.text
+    )
 
 
 def test_the_heartbeat_works_without_its_service(client: str) -> None:
