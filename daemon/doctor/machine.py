@@ -120,7 +120,8 @@ def check_robot(settings: Settings) -> Check:
     if settings.robot is None:
         return Check("robot", "ok", "none is configured")
     wanted = settings.robot
-    shown = certificate_at(wanted.url) if wanted.address.scheme == "tcps" else None
+    scheme, _, _ = wanted.address
+    shown = certificate_at(wanted.url) if scheme == "tcps" else None
     is_unknown = shown is not None and wanted.pinned is None
     pin = f"if it is your robot, set robot.certificate: {shown}" if is_unknown else ""
     try:

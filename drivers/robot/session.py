@@ -5,7 +5,7 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol, TypeAlias
+from typing import Literal, Protocol, TypeAlias
 
 import msgspec
 
@@ -66,23 +66,15 @@ class Wait:
             raise RobotLost(f"{self.what}: no answer within {waited_s:.1f} s")
 
 
-class Address(NamedTuple):
-    """scheme: tcp or tcps."""
-
-    scheme: str
-    host: str
-    port: int
-
-
-def address_of(url: str) -> Address:
-    """Return the parts of a robot's URL; raises ValueError with what is wrong, without a password."""
+def address_of(url: str) -> tuple[str, str, int]:
+    """Return a robot's scheme, tcp or tcps, host and port; raises ValueError that shows no password."""
     parts = re.fullmatch(
         r"(tcps?)://(\[[^\s\[\]]+\]|[^\s/@:\[\]]+)(?::(\d{0,5}))?", url.strip(), re.IGNORECASE
     )
     if parts is None or int(parts[3] or 1) not in range(1, 65536):
         raise ValueError(f"url {without_password(url)!r} is not an address such as tcp://nao.local:9559")
     scheme = parts[1].lower()
-    return Address(scheme, parts[2].strip("[]"), int(parts[3] or PORTS[scheme]))
+    return scheme, parts[2].strip("[]"), int(parts[3] or PORTS[scheme])
 
 
 def without_password(address: str) -> str:
@@ -113,7 +105,8 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
             raise ValueError("a login is user and token_file; set both (user: nao on most robots)")
         if self.token_file is not None and "/" not in self.token_file:
             raise ValueError("token_file is not a full path; write the token into a file and give its path")
-        if self.address.scheme != "tcps" and (self.user or self.certificate):
+        scheme, _, _ = self.address
+        if scheme != "tcps" and (self.user or self.certificate):
             raise ValueError(f"url {self.url}: what is sent there is not encrypted; use tcps://")
         if self.client == "qi" and self.pinned:
             raise ValueError("qi accepts any certificate; leave client out, or certificate")
@@ -124,7 +117,7 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         return None if self.certificate == "any" else self.certificate
 
     @property
-    def address(self) -> Address:
+    def address(self) -> tuple[str, str, int]:
         return address_of(self.url)
 
 

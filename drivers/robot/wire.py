@@ -50,7 +50,8 @@ class Connection:
 
     def _log_in(self, settings: RobotSettings, wait: Wait) -> None:
         login: dict[str, str] = {}
-        if settings.address.scheme == "tcps":
+        scheme, _, _ = settings.address
+        if scheme == "tcps":
             from touchd.drivers.robot.login import encrypted, read_token
 
             self._line = encrypted(self._line, settings.pinned, wait.go_on)
@@ -117,6 +118,7 @@ class WireSession:
 
     def __init__(self, settings: RobotSettings, limits: RobotLimits, stopping: threading.Event) -> None:
         self._settings = settings
+        self._scheme, self._host, self._port = settings.address
         self._limits = limits
         self._stopping = stopping
         # By port: the directory's, and those to services in other processes.
@@ -125,10 +127,10 @@ class WireSession:
 
     def connect(self) -> None:
         wait = Wait("connecting", self._limits.connect_s, self._stopping)
-        self._connection_to(self._settings.address.port, wait)
+        self._connection_to(self._port, wait)
 
     def connected(self) -> bool:
-        return self._connections[self._settings.address.port].connected()
+        return self._connections[self._port].connected()
 
     def call(self, service: str, method: str, *arguments: object, limit_s: float) -> object:
         what = f"{service}.{method}"
@@ -151,12 +153,11 @@ class WireSession:
     def _find(self, service: str) -> tuple[Connection, int, dict[int, Any]]:
         """Return a service's connection, number and methods; raises RobotLost or RobotRefused."""
         wait = Wait(f"looking for {service}", self._limits.connect_s, self._stopping)
-        scheme, _, port = self._settings.address
-        connection = self._connections[port]
+        connection = self._connections[self._port]
         _, number, _, _, endpoints, _ = connection.call(FIND_SERVICE, write("s", service), SERVICE_INFO, wait)
-        found = (re.fullmatch(rf"{scheme}://.*:(\d{{1,5}})", endpoint) for endpoint in endpoints)
+        found = (re.fullmatch(rf"{self._scheme}://.*:(\d{{1,5}})", endpoint) for endpoint in endpoints)
         offered = [int(endpoint[1]) for endpoint in found if endpoint]
-        if offered and port not in offered:
+        if offered and self._port not in offered:
             try:
                 connection = self._connection_to(offered[0], wait)
             except RobotLost as error:
@@ -170,8 +171,7 @@ class WireSession:
         if connection is None or not connection.connected():
             try:
                 # The configured host: an endpoint may name the robot's address in another network.
-                host = self._settings.address.host
-                line = hosts.connect(host, port, self._limits.connect_s, self._stopping)
+                line = hosts.connect(self._host, port, self._limits.connect_s, self._stopping)
             except (OSError, OverflowError) as error:
                 raise RobotLost(f"{wait.what}: {reason(error)}") from error
             connection = self._connections[port] = Connection(line, self._settings, wait)

@@ -272,7 +272,7 @@ def test_the_method_that_takes_the_arguments_is_called(arguments: tuple[object, 
 
     def answer(sent: Sent) -> bytes:
         asked.append(sent)
-        found = {100: info(robot._settings.address.port), 2: META}
+        found = {100: info(robot._port), 2: META}
         return said(REPLY, sent[0], found.get(sent[1][2], write("s", "done")))
 
     with robot_of(after_login(answer)) as robot:
