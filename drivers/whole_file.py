@@ -12,7 +12,8 @@ from touchd.drivers.errors import TouchdError, reason, written_out
 PARTIAL = ".partial-"
 # For files about people: recordings, the journal, and what is derived from them.
 PRIVATE_MODE = 0o640
-MOST_SECRET_BYTES = 4096
+# Characters: a larger file holds something else, which must not be sent.
+MOST_SECRET = 4096
 NO_LINKS = (errno.EPERM, errno.EACCES, errno.EOPNOTSUPP, errno.ENOSYS)
 
 
@@ -86,9 +87,9 @@ def secret_in(file: str, setting: str, kind: type[TouchdError]) -> str:
     try:
         # An editor on Windows may put a mark before it.
         with open(written_out(file), encoding="utf-8-sig", opener=without_waiting) as opened:
-            secret = opened.read(MOST_SECRET_BYTES).strip()
+            secret = opened.read(MOST_SECRET + 1).strip()
     except (OSError, UnicodeDecodeError) as error:
         raise kind(f"{setting} {file} cannot be read ({reason(error)}); check path and owner") from error
-    if not secret:
-        raise kind(f"{setting} {file} is empty; put the password or token there")
+    if not 0 < len(secret) <= MOST_SECRET:
+        raise kind(f"{setting} {file} is empty or too large; put the password or token there")
     return secret

@@ -223,11 +223,12 @@ def test_settings_that_cannot_be_meant_are_refused(settings: dict[str, Any], com
     [
         ("/no/such", r"cannot be read \(No such"),
         ("/dev/zero", r"cannot be read \(Is a device"),
-        ("empty", "is empty; put"),
+        *((file, "is empty or too large") for file in ("empty", "large")),
     ],
 )
 def test_a_token_that_cannot_be_read_is_named(token_file: str, complaint: str, tmp_path: Path) -> None:
     (tmp_path / "empty").touch()
+    (tmp_path / "large").write_text("x" * 4097)
     token_file = str(tmp_path / token_file)
     with pytest.raises(RobotError, match=rf"robot\.token_file {token_file} {complaint}"):
         RobotLink(RobotSettings(url=NAO, user="nao", token_file=token_file))
