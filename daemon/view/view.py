@@ -182,23 +182,12 @@ class View:
         with self._lock:
             if isinstance(event, TouchBegan | Prediction | TouchEnded):
                 self._now = None
+            if isinstance(event, LivePrediction):
+                self._now = event
+            if isinstance(event, LivePrediction | Prediction):
+                self._name_labels(event.probabilities)
+            self._put_into_touches(event)
             match event:
-                case LivePrediction():
-                    self._now = event
-                    self._name_labels(event.probabilities)
-                case TouchBegan():
-                    shown = ShownTouch(event)
-                    shown.trace.extend((n / FRAME_RATE_HZ, load) for n, load in enumerate(self._recent))
-                    self._touches.append(shown)
-                    self._said_by_robot = ""
-                case Prediction() | TouchEnded() if self._touches:
-                    self._touches[-1].add(event)
-                    if isinstance(event, Prediction):
-                        self._name_labels(event.probabilities)
-                case Label():
-                    for touch in self._touches:
-                        if touch.began.touch == event.touch:
-                            touch.label = event.gesture
                 case SensorEvent():
                     self._states["pad"] = event.state
                 case RobotEvent():
@@ -209,6 +198,20 @@ class View:
                     self._said_by_robot = event.what
         if isinstance(event, SensorEvent | RobotEvent | Label):
             self.note(describe(event, self._words), getattr(event, "state", "up") != "up")
+
+    def _put_into_touches(self, event: Event | LivePrediction) -> None:
+        match event:
+            case TouchBegan():
+                shown = ShownTouch(event)
+                shown.trace.extend((n / FRAME_RATE_HZ, load) for n, load in enumerate(self._recent))
+                self._touches.append(shown)
+                self._said_by_robot = ""
+            case Prediction() | TouchEnded() if self._touches:
+                self._touches[-1].add(event)
+            case Label():
+                for touch in self._touches:
+                    if touch.began.touch == event.touch:
+                        touch.label = event.gesture
 
     def stop(self, timeout_s: float = 0.0) -> None:
         """Restore the terminal, if it is still there."""

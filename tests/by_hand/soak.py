@@ -21,7 +21,7 @@ import tempfile
 import threading
 import time
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -43,6 +43,7 @@ from touchd.daemon.robot.sink import RobotSink
 from touchd.daemon.sinks.journal import Journal, JournalSink
 from touchd.daemon.sinks.touch_store import (
     EndedTouch,
+    KeptTouch,
     TouchSink,
     TouchStore,
     description_of,
@@ -221,29 +222,7 @@ class Soak:
     def _figures(self, frames: int, took_s: float, took_cpu_s: float) -> dict[str, object]:
         settled = self.hours[1:] or self.hours
         growth_mb = max(hour["memory_mb"] for hour in settled) - settled[0]["memory_mb"]
-        files = [self._path.with_name(f"{self._path.name}.{number}") for number in range(JOURNAL_KEEP, 0, -1)]
-        written = b"".join(file.read_bytes() for file in [*files, self._path] if file.exists())
-        latest = list(self._latest)
         kept = kept_touches(folder_of(self._path))
-        holds = {
-            "every touch has its answers, none twice": not self.audit.wrong and self.audit.touches > 0,
-            "memory grows at most 5 MB after the first hour": growth_mb <= MAX_GROWTH_MB,
-            "threads and descriptors are constant": all(
-                hour["threads"] == settled[0]["threads"] and hour["descriptors"] == settled[0]["descriptors"]
-                for hour in settled
-            ),
-            "the journal holds the latest events and stays within its bound": (
-                [entry.rstrip() for entry in written.splitlines()[-len(latest) :]] == latest
-                and len(written) <= JOURNAL_BYTES * (JOURNAL_KEEP + 1)
-                and self._journal.lost + self._journal_sink.dropped == 0
-            ),
-            "the last touches are kept, no more than asked for, and can be read": (
-                len(kept) == min(TOUCHES_KEPT, self.audit.touches)
-                and self._store.lost + self._touch_sink.dropped == 0
-                and all(read_recordings(touch.path) for touch in kept)
-            ),
-            "the pad's state is there whenever a broker comes": self.broker.states == self.broker.times,
-        }
         return {
             "malloc_mmap_threshold": os.environ.get("MALLOC_MMAP_THRESHOLD_", "glibc's own"),
             "sensor_hours": round(frames / HOUR_FRAMES, 3),
@@ -266,7 +245,34 @@ class Soak:
             },
             "touches_kept": len(kept),
             "wrong": list(self.audit.wrong),
-            "holds": holds,
+            "holds": self._holds(settled, growth_mb, kept),
+        }
+
+    def _holds(
+        self, settled: Sequence[dict[str, float]], growth_mb: float, kept: Sequence[KeptTouch]
+    ) -> dict[str, bool]:
+        """Return which promises hold. settled: the hours after the first."""
+        files = [self._path.with_name(f"{self._path.name}.{number}") for number in range(JOURNAL_KEEP, 0, -1)]
+        written = b"".join(file.read_bytes() for file in [*files, self._path] if file.exists())
+        latest = list(self._latest)
+        return {
+            "every touch has its answers, none twice": not self.audit.wrong and self.audit.touches > 0,
+            "memory grows at most 5 MB after the first hour": growth_mb <= MAX_GROWTH_MB,
+            "threads and descriptors are constant": all(
+                hour["threads"] == settled[0]["threads"] and hour["descriptors"] == settled[0]["descriptors"]
+                for hour in settled
+            ),
+            "the journal holds the latest events and stays within its bound": (
+                [entry.rstrip() for entry in written.splitlines()[-len(latest) :]] == latest
+                and len(written) <= JOURNAL_BYTES * (JOURNAL_KEEP + 1)
+                and self._journal.lost + self._journal_sink.dropped == 0
+            ),
+            "the last touches are kept, no more than asked for, and can be read": (
+                len(kept) == min(TOUCHES_KEPT, self.audit.touches)
+                and self._store.lost + self._touch_sink.dropped == 0
+                and all(read_recordings(touch.path) for touch in kept)
+            ),
+            "the pad's state is there whenever a broker comes": self.broker.states == self.broker.times,
         }
 
 

@@ -135,13 +135,15 @@ def test_lsl_markers_carry_the_events_time(tmp_path: Path) -> None:
     assert pulled[0][1] == pytest.approx(ago_s, abs=0.2)
 
 
+def is_frame_1(picture: Any) -> bool:
+    assert (picture.encoding, picture.step, picture.header.frame_id) == ("mono16", 16, PAD)
+    assert picture.header.stamp.sec == pytest.approx(time.time(), abs=5)
+    return np.array_equal(np.frombuffer(bytes(picture.data), "<u2").reshape(8, 8), frame(1).pressure)
+
+
 def test_ros2_nodes_find_and_receive_the_topics(tmp_path: Path) -> None:
     pytest.importorskip("cyclonedds")
-    from cyclonedds.builtin import (
-        BuiltinDataReader,
-        BuiltinTopicDcpsParticipant,
-        BuiltinTopicDcpsPublication,
-    )
+    from cyclonedds import builtin
     from cyclonedds.domain import DomainParticipant
 
     from touchd.daemon.bridges.ros2 import Image, String
@@ -150,8 +152,8 @@ def test_ros2_nodes_find_and_receive_the_topics(tmp_path: Path) -> None:
     participant = DomainParticipant(peer.domain)
     topics = {"gesture": String, "event": String, "pressure": Image}
     readers = {name: reader_of(participant, f"rt/touchd/{PAD}/{name}", kind) for name, kind in topics.items()}
-    offered = BuiltinDataReader(participant, BuiltinTopicDcpsPublication)
-    nodes = BuiltinDataReader(participant, BuiltinTopicDcpsParticipant)
+    offered = builtin.BuiltinDataReader(participant, builtin.BuiltinTopicDcpsPublication)
+    nodes = builtin.BuiltinDataReader(participant, builtin.BuiltinTopicDcpsParticipant)
     bridge = peer.bridge()
     found: set[tuple[str, str]] = set()
     received: dict[str, list[object]] = {name: [] for name in topics}
@@ -175,11 +177,7 @@ def test_ros2_nodes_find_and_receive_the_topics(tmp_path: Path) -> None:
     }
     assert received["gesture"][0] == String("stroke")
     assert decode(received["event"][0].data) == PREDICTION  # type: ignore[attr-defined]
-    picture = received["pressure"][0]
-    assert isinstance(picture, Image)
-    assert (picture.encoding, picture.step, picture.header.frame_id) == ("mono16", 16, PAD)
-    np.testing.assert_array_equal(np.frombuffer(bytes(picture.data), "<u2").reshape(8, 8), frame(1).pressure)
-    assert picture.header.stamp.sec == pytest.approx(time.time(), abs=5)
+    assert is_frame_1(received["pressure"][0])
 
 
 def test_ros2_starts_again_where_the_network_is_another(

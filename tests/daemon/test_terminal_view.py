@@ -226,6 +226,28 @@ def test_a_command_to_copy_is_shown_whole(doing: str) -> None:
     assert doing in last
 
 
+def shown_on(terminal: int) -> subprocess.Popen[bytes]:
+    environment = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES")}
+    return subprocess.Popen(
+        [sys.executable, "-c", SHOWN],
+        stdin=subprocess.PIPE,
+        stdout=terminal,
+        stderr=subprocess.DEVNULL,
+        env={**environment, "TERM": "xterm-256color", "COLORTERM": "truecolor"},
+        # A group whose parent could continue it, so that Ctrl-Z can stop it.
+        preexec_fn=os.setpgrp,
+    )
+
+
+def read_until(terminal: int, text: bytes, times: int = 1) -> bytes:
+    """Read what is drawn until a text has come so often."""
+    drawn = b""
+    while drawn.count(text) < times:
+        assert select.select([terminal], [], [], WITHIN_S)[0], drawn
+        drawn += os.read(terminal, 65536)
+    return drawn
+
+
 def test_resizing_ctrl_z_and_ending_leave_the_terminal_clean() -> None:
     master, slave = pty.openpty()
     screen = pyte.Screen(80, 24)
@@ -243,33 +265,17 @@ def test_resizing_ctrl_z_and_ending_leave_the_terminal_clean() -> None:
         screen.resize(height, width)
 
     resize(80, 24)
-    environment = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES")}
-    with subprocess.Popen(
-        [sys.executable, "-c", SHOWN],
-        stdin=subprocess.PIPE,
-        stdout=slave,
-        stderr=subprocess.DEVNULL,
-        env={**environment, "TERM": "xterm-256color", "COLORTERM": "truecolor"},
-        # A group whose parent could continue it, so that Ctrl-Z can stop it.
-        preexec_fn=os.setpgrp,
-    ) as process:
+    with shown_on(slave) as process:
         show_until("pad up")
         process.send_signal(signal.SIGTSTP)
         resize(60, 24)
         # A refresh starts at the top left; after two more everything has been redrawn.
-        drawn = b""
-        while drawn.count(b"\x1b[H") < 4:
-            assert select.select([master], [], [], WITHIN_S)[0], screen.display
-            drawn += os.read(master, 65536)
-        stream.feed(drawn)
+        stream.feed(read_until(master, b"\x1b[H", 4))
         for once in ("touchd", "Last touches", "firm", "2.67 s"):
             assert sum(once in line for line in screen.display) == 1, (once, screen.display)
         assert process.stdin is not None
         process.stdin.close()
-        left = b""
-        while b"gone" not in left:
-            assert select.select([master], [], [], WITHIN_S)[0], left
-            left += os.read(master, 65536)
+        left = read_until(master, b"gone")
     assert b"\x1b[?1049l" in left
     assert b"\x1b[?25h" in left
     os.close(slave)

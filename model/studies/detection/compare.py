@@ -53,40 +53,42 @@ def detect(
     model: is asked about doubtful touches; the detector saw no more people than it. flush: end what still
     goes on.
     """
-    ring, tracker = (
-        Ring(HISTORY_FRAMES),
-        TouchTracker(settings or TouchSettings(), detector_for(model), question_of(model), is_finer=is_finer),
+    ring = Ring(HISTORY_FRAMES)
+    tracker = TouchTracker(
+        settings or TouchSettings(), detector_for(model), question_of(model), is_finer=is_finer
     )
     events: list[Event] = []
     number, now_s = 0, 0.0
-
-    def ended(release: Release) -> TouchEnded:
-        (last,) = ring.frames(release.last_index, release.last_index + 1)
-        return TouchEnded(
-            touch=number,
-            gesture="",
-            frames=release.last_index + 1 - release.first_index,
-            reason=release.reason,
-            time=timestamp(now_s),
-            sensor_ms=round(last.sensor_ms),
-        )
-
     for frame in frames:
         now_s = frame.host_s
         for laid in ring.push(frame):
             match tracker.update(laid):
                 case Onset(first_index):
                     number += 1
-                    (at,) = ring.frames(first_index, first_index + 1)
-                    events.append(
-                        TouchBegan(touch=number, time=timestamp(now_s), sensor_ms=round(at.sensor_ms))
-                    )
+                    at_ms = _sensor_ms(ring, first_index)
+                    events.append(TouchBegan(touch=number, time=timestamp(now_s), sensor_ms=at_ms))
                 case Release() as release:
-                    events.append(ended(release))
+                    events.append(_ended(number, release, ring, now_s))
     left_open = tracker.forget("stopped") if flush else None
     if left_open is not None:
-        events.append(ended(left_open))
+        events.append(_ended(number, left_open, ring, now_s))
     return events
+
+
+def _ended(touch: int, release: Release, ring: Ring, now_s: float) -> TouchEnded:
+    return TouchEnded(
+        touch=touch,
+        gesture="",
+        frames=release.last_index + 1 - release.first_index,
+        reason=release.reason,
+        time=timestamp(now_s),
+        sensor_ms=_sensor_ms(ring, release.last_index),
+    )
+
+
+def _sensor_ms(ring: Ring, index: int) -> int:
+    (frame,) = ring.frames(index, index + 1)
+    return round(frame.sensor_ms)
 
 
 class Comparison:

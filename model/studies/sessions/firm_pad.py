@@ -8,7 +8,7 @@ they marked any in that recording.
 
 import csv
 import gzip
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby, pairwise
 from pathlib import Path
@@ -99,16 +99,24 @@ def truth(stream: FirmStream, hz: float) -> tuple[list[Span], list[Span]]:
     quiet = level <= off
     if stream.marked is not None:
         quiet &= ~stream.marked
+    touches = _joined(_runs(touched), stream.marked, JOINED_S * hz)
+    quiets = [(first, last) for first, last in _runs(quiet) if last - first >= QUIET_S * hz]
+    return [(a / hz, b / hz) for a, b in touches], [(a / hz, b / hz) for a, b in quiets]
+
+
+def _joined(
+    runs: Iterable[tuple[int, int]], marked: NDArray[np.bool_] | None, most_frames: float
+) -> list[tuple[int, int]]:
+    """Join runs at most this many frames apart; leave out those that the authors did not mark."""
     touches: list[tuple[int, int]] = []
-    for first, last in _runs(touched):
-        if stream.marked is not None and not stream.marked[max(0, first - 3) : last + 4].any():
+    for first, last in runs:
+        if marked is not None and not marked[max(0, first - 3) : last + 4].any():
             continue
-        if touches and first - touches[-1][1] <= JOINED_S * hz:
+        if touches and first - touches[-1][1] <= most_frames:
             touches[-1] = (touches[-1][0], last)
         else:
             touches.append((first, last))
-    quiets = [(first, last) for first, last in _runs(quiet) if last - first >= QUIET_S * hz]
-    return [(a / hz, b / hz) for a, b in touches], [(a / hz, b / hz) for a, b in quiets]
+    return touches
 
 
 def play(stream: FirmStream, model: Classifier, hz: float, rate_hz: float) -> list[Event]:

@@ -1,7 +1,7 @@
 """Scores a session touch by touch: which were detected, and what the robot was told."""
 
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import inf
@@ -74,6 +74,15 @@ class Fate:
         """The gestures told to the robot, in order."""
         return [answer.gesture for answer in self.answers if answer.told]
 
+    @property
+    def first_s(self) -> float:
+        """When the first answer was told, in seconds of the touch."""
+        return next(answer.elapsed_s for answer in self.answers if answer.told)
+
+    def is_right_at(self, stage: str) -> bool:
+        """Whether an answer at this stage names the gesture."""
+        return any(answer.stage == stage and answer.gesture == self.gesture for answer in self.answers)
+
 
 @dataclass(frozen=True)
 class Played:
@@ -101,28 +110,22 @@ def score(played: Sequence[Played]) -> SessionScore:
     """Return the figures of these sessions together."""
     fates = [fate for one in played for fate in one.fates]
 
-    def percent(true: Iterable[bool]) -> float:
-        return round(100.0 * sum(true) / len(fates), 1)
+    def percent(is_so: Callable[[Fate], bool]) -> float:
+        return round(100.0 * sum(map(is_so, fates)) / len(fates), 1)
 
-    def at(stage: str) -> float:
-        return percent(
-            any(answer.stage == stage and answer.gesture == fate.gesture for answer in fate.answers)
-            for fate in fates
-        )
-
-    first_s = [next(a.elapsed_s for a in fate.answers if a.told) for fate in fates if fate.told]
+    first_s = [fate.first_s for fate in fates if fate.told]
     return SessionScore(
-        missed=percent(fate.missed for fate in fates),
-        merged=percent(fate.merged for fate in fates),
-        split=percent(fate.split for fate in fates),
-        open=percent(fate.open for fate in fates),
-        early=at("early"),
-        revised=at("revised"),
-        final=at("final"),
-        last=percent(fate.told[-1:] == [fate.gesture] for fate in fates),
-        first=percent(fate.told[:1] == [fate.gesture] for fate in fates),
-        harmful=percent(any(a == fate.gesture != b for a, b in pairwise(fate.told)) for fate in fates),
-        late=percent(any(a.told and a.stage == "ongoing" for a in fate.answers) for fate in fates),
+        missed=percent(lambda fate: fate.missed),
+        merged=percent(lambda fate: fate.merged),
+        split=percent(lambda fate: fate.split),
+        open=percent(lambda fate: fate.open),
+        early=percent(lambda fate: fate.is_right_at("early")),
+        revised=percent(lambda fate: fate.is_right_at("revised")),
+        final=percent(lambda fate: fate.is_right_at("final")),
+        last=percent(lambda fate: fate.told[-1:] == [fate.gesture]),
+        first=percent(lambda fate: fate.told[:1] == [fate.gesture]),
+        harmful=percent(lambda fate: any(a == fate.gesture != b for a, b in pairwise(fate.told))),
+        late=percent(lambda fate: any(a.told and a.stage == "ongoing" for a in fate.answers)),
         false=round(10.0 * sum(one.false for one in played) / sum(one.quiet_min for one in played), 2),
         t_first=round(float(np.mean(first_s)), 3) if first_s else 99.0,
         n=len(fates),
