@@ -79,14 +79,16 @@ class Clock:
 class Touch:
     """The current touch, of `length` frames so far.
 
-    due: the stages still to come, with the length at which each is answered. off_frames: since the last
-    contact. answered_release: the length at which the touch was answered because the hand had left. outputs:
-    the model's probabilities by length. state: the model's, after the touch's first `fed` frames. recent: the
-    model's latest outputs after the final answer. next_ongoing: the length at which the next one is due.
+    rest: what each of the 64 taxels read before it. due: the stages still to come, with the length at which
+    each is answered. off_frames: since the last contact. answered_release: the length at which the touch was
+    answered because the hand had left. outputs: the model's probabilities by length. state: the model's,
+    after the touch's first `fed` frames. recent: the model's latest outputs after the final answer.
+    next_ongoing: the length at which the next one is due.
     """
 
     number: int
     first_index: int
+    rest: NDArray[np.float32]
     decision: Decision
     due: list[tuple[int, Stage]]
     degraded: bool
@@ -210,6 +212,7 @@ class Pipeline:
         self._touch = Touch(
             number=next(self._numbers),
             first_index=first_index,
+            rest=self._tracker.rest,
             decision=Decision(self._decision_settings, self._model.labels),
             due=list(zip(self._decision_settings.answer_at_frames, STAGES, strict=True)),
             degraded=any(earlier.bridged for earlier in so_far),
@@ -233,7 +236,7 @@ class Pipeline:
         is_due = is_at_mark or length - touch.fed >= FEED_FRAMES or has_left
         if length > self._final_frames or not (is_due or is_shown or touch.waits_until_sure):
             return
-        window = self._window(touch.first_index + length, length - touch.fed)
+        window = self._window(touch, length, length - touch.fed)
         probabilities, touch.state = self._model.step(window, touch.state)
         touch.outputs[length], touch.fed = probabilities, length
         if is_shown:
@@ -243,8 +246,9 @@ class Pipeline:
             for show in viewers:
                 show(live)
 
-    def _window(self, stop_index: int, length: int) -> NDArray[np.float32]:
-        return as_known(self._ring.window(stop_index, length), self._tracker.rest)
+    def _window(self, touch: Touch, length: int, frames: int) -> NDArray[np.float32]:
+        """Return the last `frames` of the touch's first `length`. The tracker's rest may be a later one."""
+        return as_known(self._ring.window(touch.first_index + length, frames), touch.rest)
 
     def _answer_what_is_due(self, touch: Touch, frame: GridFrame) -> None:
         length = touch.length
@@ -298,7 +302,7 @@ class Pipeline:
         frames = min(length, self._final_frames)
         probabilities = touch.outputs.get(length)
         if probabilities is None:
-            probabilities = self._model.probabilities(self._window(touch.first_index + length, frames))
+            probabilities = self._model.probabilities(self._window(touch, length, frames))
         self._answer(touch, stage, probabilities, (frames, length), since_s)
 
     def _answer_ongoing(self, touch: Touch, since_s: float) -> None:

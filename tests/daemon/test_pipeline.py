@@ -153,6 +153,16 @@ def test_every_answer_is_to_the_touchs_own_frames(
         assert (end.frames + 13, end.gesture) == (expected[-1][1], "stroke")
 
 
+def test_what_a_hand_left_is_not_taken_out_of_its_touch() -> None:
+    dent = nothing(2.0)
+    dent[:, 1:7, 1:6] = 20.0
+    bench = Bench()
+    events = bench.feel(palm(0.5, 200.0, trembling=False), dent)
+    stage, frames = answered(events)[-1]
+    assert stage == "released"
+    bench.check_windows(frames)
+
+
 def test_a_hand_that_has_left_is_answered_at_once() -> None:
     bench = Bench()
     events = bench.feel(palm(0.5), nothing(14 / 54))
