@@ -33,11 +33,11 @@ from touchd.daemon.doctor.machine import certificate_at, check_robot, find_robot
 from touchd.daemon.doctor.port import LastingName, advice_for, lasting_name, why_no_port
 from touchd.drivers.errors import os_errors_as, within
 from touchd.drivers.installed import program_name
-from touchd.drivers.pad.format import PRESETS, PadFormat, as_yaml
+from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.pad.port import Line, SensorError, at_baud, open_port
 from touchd.drivers.robot.session import RobotError
 from touchd.drivers.search.listen import USUAL_BAUDS, Chunk, likeliest_baud
-from touchd.drivers.search.search import Grid
+from touchd.drivers.search.search import Grid, as_yaml
 from touchd.drivers.whole_file import whole_file
 
 

@@ -13,11 +13,11 @@ from touchd.daemon.doctor.port import advice_for
 from touchd.daemon.doctor.values import MANY_SHARE
 from touchd.drivers.frame import COLUMNS, MIN_RATE_HZ, ROWS
 from touchd.drivers.pace import clock_by_ours, pace_of
-from touchd.drivers.pad.format import PadFormat, as_yaml
+from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import Line, SensorError, at_baud, check_port, forget_waiting, open_port
 from touchd.drivers.search.listen import USUAL_BAUDS
-from touchd.drivers.search.search import Finding
+from touchd.drivers.search.search import Finding, as_yaml
 from touchd.drivers.search.text import is_text, looks_like
 
 TRY_BAUD_S = 0.5

@@ -12,8 +12,8 @@ from touchd.daemon.path.monitor import FAULTS, STILL_S, TaxelFaults, places
 from touchd.daemon.path.tracker import Onset, TouchTracker
 from touchd.drivers.frame import COLUMNS, MAX_COUNT, ROWS, Frame
 from touchd.drivers.pace import steps_ms
-from touchd.drivers.pad.format import as_yaml
 from touchd.drivers.pad.grid import Ring
+from touchd.drivers.search.search import as_yaml
 from touchd.model.classifier import KNOWN_REST_COUNTS
 from touchd.model.detector import Detector
 

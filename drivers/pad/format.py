@@ -1,6 +1,5 @@
 """What a pad sends and how it lies, described rather than programmed."""
 
-import json
 from functools import lru_cache
 from typing import Annotated, Literal, NamedTuple
 
@@ -159,18 +158,6 @@ PRESETS = {
     "velostat": PadFormat(framing="text", rows=8, columns=8),
     "m1616": PadFormat(header="aaabac", order="big", rows=16, columns=16),
 }
-
-
-def as_yaml(described: PadFormat) -> str:
-    """Return what a pad sends as it stands in the configuration, on one line."""
-    sent = msgspec.structs.replace(described, turn=0, mirror=False)
-    for name, preset in PRESETS.items():
-        if preset == sent:
-            return f"format: {name}"
-    always = {"framing": sent.framing, "rows": sent.rows, "columns": sent.columns}
-    fields = always | msgspec.to_builtins(sent) | {"full_scale": sent.full_scale}
-    shown = {key: f"{value:g}" if key == "full_scale" else json.dumps(value) for key, value in fields.items()}
-    return f"format: {{{', '.join(f'{key}: {value}' for key, value in shown.items())}}}"
 
 
 class Layout:

@@ -4,6 +4,7 @@ Told the grid, arithmetic leaves a few placements of the cells in a frame. The o
 together most is proposed if a hand presses the pad and touchd's own parser reads nearly all that came.
 """
 
+import json
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -12,12 +13,13 @@ from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
+from msgspec import to_builtins
 from msgspec.structs import replace
 
 from touchd.drivers.frame import MIN_RATE_HZ, Frame
 from touchd.drivers.pace import clock_by_ours
 from touchd.drivers.pad.binary import CLOCK_BYTES
-from touchd.drivers.pad.format import LONGEST_SIDE, PRESETS, SHORTEST_SIDE, PadFormat, as_yaml, layout_of
+from touchd.drivers.pad.format import LONGEST_SIDE, PRESETS, SHORTEST_SIDE, PadFormat, layout_of
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.search import binary, text
 from touchd.drivers.search.listen import MOST_BYTES, Chunk, seconds_of
@@ -157,6 +159,18 @@ def _judged(best: Placement, chunks: Sequence[Chunk], saw: str) -> Finding:
     if missing:
         return Finding(None, f"perhaps {as_yaml(described)}; {missing}", saw, may_come)
     return Finding(described, "", saw)
+
+
+def as_yaml(described: PadFormat) -> str:
+    """Return what a pad sends as it stands in the configuration, on one line."""
+    sent = replace(described, turn=0, mirror=False)
+    for name, preset in PRESETS.items():
+        if preset == sent:
+            return f"format: {name}"
+    always = {"framing": sent.framing, "rows": sent.rows, "columns": sent.columns}
+    fields = always | to_builtins(sent) | {"full_scale": sent.full_scale}
+    shown = {key: f"{value:g}" if key == "full_scale" else json.dumps(value) for key, value in fields.items()}
+    return f"format: {{{', '.join(f'{key}: {value}' for key, value in shown.items())}}}"
 
 
 def placements(chunks: Sequence[Chunk], grid: Grid) -> Iterator[Placement]:

@@ -26,10 +26,10 @@ from touchd.daemon.doctor.line import check_damage, check_opening, check_protoco
 from touchd.drivers.fakes.encode import encode_frame
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import Counts, Frame
-from touchd.drivers.pad.format import PRESETS, PadFormat, as_yaml
+from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import SensorError, open_port
-from touchd.drivers.search.search import Finding, search
+from touchd.drivers.search.search import Finding, as_yaml, search
 
 TOUCHED = stream_of(next(iter(RECORDINGS)))
 

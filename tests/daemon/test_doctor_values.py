@@ -19,9 +19,10 @@ from touchd.daemon.doctor.values import (
     is_pressed,
 )
 from touchd.drivers.frame import Counts
-from touchd.drivers.pad.format import PRESETS, as_yaml
+from touchd.drivers.pad.format import PRESETS
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import open_port
+from touchd.drivers.search.search import as_yaml
 from touchd.model.studies.simulated import simulate
 
 TURN_OVER = f"set under sensor: {as_yaml(msgspec.structs.replace(PRESETS['fabric-grid'], invert=False))}"

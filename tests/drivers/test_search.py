@@ -14,10 +14,10 @@ from rigs.haart_folder import needs_third_study
 from rigs.pressing import chunks_of, pressed
 
 from touchd.drivers.fakes.encode import encode_values
-from touchd.drivers.pad.format import PRESETS, PadFormat, as_yaml, layout_of
+from touchd.drivers.pad.format import PRESETS, PadFormat, layout_of
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.search.listen import Chunk, likelihood
-from touchd.drivers.search.search import Finding, search, survey
+from touchd.drivers.search.search import Finding, as_yaml, search, survey
 
 SIDES = st.integers(4, 32)
 
