@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 from touchd.daemon.app.config import Settings
 from touchd.daemon.doctor.check import Check, Sample, Verdict
 from touchd.daemon.path.monitor import FAULTS, STILL_S, TaxelFaults, places
+from touchd.daemon.path.pipeline import question_of
 from touchd.daemon.path.tracker import Onset, TouchTracker
 from touchd.drivers.frame import COLUMNS, MAX_COUNT, ROWS, Frame
 from touchd.drivers.pace import steps_ms
 from touchd.drivers.pad.grid import Ring
 from touchd.drivers.search.search import as_yaml
-from touchd.model.classifier import KNOWN_REST_COUNTS
+from touchd.model.classifier import KNOWN_REST_COUNTS, Classifier
 from touchd.model.detector import Detector
 
 # In HAART's recordings a taxel at rest reads 2.5 counts on average and 28 at most, with a noise of 0.8.
@@ -61,16 +62,16 @@ def check_rest(sample: Sample, settings: Settings) -> Check:
 
 def check_quiet(sample: Sample, settings: Settings) -> Check:
     """Report whether the daemon would have detected a touch."""
-    ring, tracker = Ring(1), TouchTracker(settings.touch, Detector.load())
+    question, is_finer = question_of(Classifier.load()), settings.pipeline.is_finer
+    ring, tracker = Ring(1), TouchTracker(settings.touch, Detector.load(), question, is_finer=is_finer)
     laid = (laid for frame in sample.frames for laid in ring.push(frame))
     touches = sum(isinstance(tracker.update(frame), Onset) for frame in laid)
     figures = {"touches": float(touches)}
     if touches == 0:
         return Check("quiet", "ok", "no touch was detected while the pad was left alone", "", figures)
-    advice = (
-        "if you did not touch it: look for a loose wire with touchd run --view, "
-        "or set touch.sensitivity to low"
-    )
+    advice = "if you did not touch it: look for a loose wire with touchd run --view"
+    if settings.touch.sensitivity != "low":
+        advice += ", or set touch.sensitivity to low"
     times = "a touch was" if touches == 1 else f"{touches} touches were"
     return Check("quiet", "to do", f"{times} detected while listening", advice, figures)
 

@@ -18,6 +18,7 @@ from touchd.daemon.doctor.values import (
     check_values,
     is_pressed,
 )
+from touchd.daemon.path.tracker import Sensitivity, TouchSettings
 from touchd.drivers.frame import Counts
 from touchd.drivers.pad.format import PRESETS
 from touchd.drivers.pad.parser import FrameParser
@@ -143,12 +144,15 @@ def test_a_high_rest_is_distinguished_from_a_load() -> None:
     assert "something lies on row 5 column 6" in check_rest(sample(resting() + rest), SETTINGS).found
 
 
-def test_a_touch_during_the_rest_check_is_reported() -> None:
+@pytest.mark.parametrize(("sensitivity", "advised"), [("normal", True), ("low", False)])
+def test_a_touch_during_the_rest_check_is_reported(sensitivity: Sensitivity, advised: bool) -> None:
     script = (("notouch", 3.0), ("rub", 2.0), ("notouch", 2.0))
     counts = np.concatenate([recording.counts for recording in simulate(script, seed=3)])
-    check = check_quiet(sample(counts), SETTINGS)
+    settings = msgspec.structs.replace(SETTINGS, touch=TouchSettings(sensitivity=sensitivity))
+    check = check_quiet(sample(counts), settings)
     assert check.found == "a touch was detected while listening"
     assert "loose wire" in check.advice
+    assert ("touch.sensitivity" in check.advice) == advised
 
 
 @pytest.mark.parametrize(
