@@ -101,7 +101,7 @@ def export(network: TGC, metadata: ModelMetadata, path: Path) -> None:
     )
     assert program is not None
     proto = program.model_proto
-    _forget_where_it_was_made(proto)
+    forget_where_it_was_made(proto)
     _describe(proto, metadata, dict(zip(names, _flat(start), strict=True)))
     onnx.checker.check_model(proto)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -133,7 +133,7 @@ def _flat(state: TGCState) -> tuple[Tensor, ...]:
     return state.level, state.motion, *state.memory, state.sums, state.highest, state.frames
 
 
-def _forget_where_it_was_made(proto: onnx.ModelProto) -> None:
+def forget_where_it_was_made(proto: onnx.ModelProto) -> None:
     """Remove the source files and paths of this machine that the exporter records."""
     for entry in (*proto.graph.node, *proto.graph.value_info, *proto.graph.input, *proto.graph.output):
         del entry.metadata_props[:]

@@ -12,8 +12,8 @@ from touchd.drivers.frame import COLUMNS, ROWS
 from touchd.model.detector import METADATA_KEY, STATES
 from touchd.model.training.detector.network import DetectorNetwork
 from touchd.model.training.detector.signals import Pad, begin
+from touchd.model.training.export import OPSET, forget_where_it_was_made
 
-OPSET = 20
 TAXELS = ROWS * COLUMNS
 
 
@@ -51,13 +51,7 @@ def export(network: DetectorNetwork, metadata: dict[str, Any], path: Path) -> No
     )
     assert program is not None
     proto = program.model_proto
-    for entry in (*proto.graph.node, *proto.graph.value_info, *proto.graph.input, *proto.graph.output):
-        # The exporter records source files and paths of this machine.
-        del entry.metadata_props[:]
-        entry.doc_string = ""
-    for tensor in proto.graph.initializer:
-        del tensor.metadata_props[:]
-    del proto.graph.metadata_props[:]
+    forget_where_it_was_made(proto)
     described = proto.metadata_props.add()
     described.key, described.value = METADATA_KEY, msgspec.json.encode(metadata).decode()
     onnx.checker.check_model(proto)
