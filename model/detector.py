@@ -23,7 +23,9 @@ LIKELY = 0.7
 GOES_ON = 0.2
 METADATA_KEY = "touchd-detector"
 STATES = ("levels", "noise", "peak", "hidden")
+# Mean of |a - b| of two normal values, in standard deviations.
 STEP_DEVIATIONS = 1.128
+# On a pad that rounds its noise away, one count is not yet a hand.
 LEAST_NOISE_COUNTS = 0.5
 NOW_TOUCHED, NOW_UNTOUCHED = np.ones((1, 1), np.float32), np.zeros((1, 1), np.float32)
 

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from touchd.drivers.frame import FRAME_RATE_HZ
+from touchd.model.detector import LEAST_NOISE_COUNTS, STEP_DEVIATIONS
 
 # Rest follows an untouched pad with this time constant, noise with a longer one.
 REST_S, NOISE_S = 2.0, 5.0
@@ -13,12 +14,8 @@ REST_S, NOISE_S = 2.0, 5.0
 SUNKEN_DEVIATIONS, SUNKEN_S = 8.0, 0.25
 # What a taxel has read of late: a load that keeps still does not differ from it.
 LATELY_S = 0.7
-# On a pad that rounds its noise away, one count is not yet a hand.
-LEAST_NOISE_COUNTS = 0.5
 # Half of the pad's highest load is forgotten in 13 s.
 PEAK_KEPT = 0.999
-# Mean of |a - b| of two normal values, in standard deviations.
-STEP_DEVIATIONS = 1.128
 CHANNELS, TOTALS = 4, 2
 
 
