@@ -51,9 +51,9 @@ class GridFrame(msgspec.Struct, frozen=True, eq=False):
 class Ring:
     """The last `capacity` grid frames. is_in_step: whether each frame of the pad becomes one of them."""
 
-    def __init__(self, capacity: int, first_index: int = 0) -> None:
+    def __init__(self, capacity: int) -> None:
         self._history: deque[GridFrame] = deque(maxlen=capacity)
-        self._next_index = first_index
+        self._next_index = 0
         self._sensor_ms: int | None = None
         self._clock_ms = 0
         self._pressure = np.zeros((ROWS, COLUMNS), np.float32)
