@@ -5,10 +5,11 @@ import platform
 import re
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from datetime import datetime, timezone
 from importlib import metadata
 from pathlib import Path
+from time import monotonic
 from typing import Any
 
 import msgspec
@@ -77,6 +78,14 @@ class Results:
         lines = [b": ".join(map(msgspec.json.encode, (name, self._cells[name]))) for name in self.find()]
         with whole_file(self.path) as partial:
             partial.write_bytes(b"{\n" + b",\n".join(lines) + b"\n}\n")
+
+    def measure(self, rows: Iterable[tuple[str, Callable[[], dict[str, Any]]]]) -> None:
+        """Measure and store the rows that are not stored yet, and print them to stderr."""
+        for key, figures in rows:
+            if not self.has(key):
+                since = monotonic()
+                self.put(key, figures(), monotonic() - since)
+                sys.stderr.write(f"{key}: {msgspec.json.encode(self.get(key)).decode()}\n")
 
 
 def percent(shares: Sequence[float]) -> str:

@@ -10,15 +10,13 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from time import monotonic
 from typing import Any
 
 import msgspec
 import numpy as np
 
 from touchd.daemon.path.events import Event, TouchBegan, epoch_s
-from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT, NO_TOUCH, Counts
-from touchd.drivers.recording import Recording
+from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT, NO_TOUCH, Counts, Frame
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 from touchd.model.studies.checks.evaluate import Split
 from touchd.model.studies.detection.cases import Case, spliced
@@ -97,17 +95,16 @@ def delays(cases: Iterable[tuple[Case, Sequence[Event]]]) -> Figures:
     }
 
 
-def false_figures(recordings: Sequence[Recording], model: Classifier) -> Figures:
-    """Return the false touches in ten minutes of notouch on a noisier pad."""
-    rng = np.random.default_rng(0)
-    quiet = [one.counts for one in recordings if one.gesture == NO_TOUCH]
-    noisy = [(scans + NOISE_COUNTS * rng.normal(size=scans.shape)).clip(0).round() for scans in quiet]
-    began = [
-        sum(isinstance(event, TouchBegan) for event in play(frames_of(scans.astype(np.uint16)), model))
-        for scans in noisy
-    ]
-    minutes = sum(map(len, quiet)) / FRAME_RATE_HZ / 60.0
-    return {"false_in_10_min": round(10.0 * sum(began) / minutes, 2)}
+def false_in_10_min(split: Split, played: Callable[[Iterable[Frame], Classifier], list[Event]]) -> float:
+    """Return the false touches in ten minutes of notouch on a noisier pad. played: the events of frames."""
+    rng, began, minutes = np.random.default_rng(0), 0, 0.0
+    for model, recordings in split:
+        for scans in (one.counts for one in recordings if one.gesture == NO_TOUCH):
+            noisy = (scans + NOISE_COUNTS * rng.normal(size=scans.shape)).clip(0).round()
+            events = played(frames_of(noisy.astype(np.uint16)), model)
+            began += sum(isinstance(event, TouchBegan) for event in events)
+            minutes += len(scans) / FRAME_RATE_HZ / 60.0
+    return round(10.0 * began / minutes, 2)
 
 
 class Tables:
@@ -156,12 +153,15 @@ class Tables:
             yield f"passing/{name}", partial(passing_figures, split)
         yield "found after/HAART test", partial(delay_figures, self._test)
         yield "found after/HAART", partial(delay_figures, self._haart)
-        yield "noise of one count/HAART", partial(false_figures, self._training, self._shipped)
+        yield "noise of one count/HAART", self._false
         for name, settings in DISTURBED.items():
             yield f"{name}/HAART test", partial(session_figures, self._test, settings)
             yield f"{name}/HAART", partial(session_figures, self._haart, settings)
         for name in ("HAART test", "HAART", "second study"):
             yield f"changes/{name}", partial(self._changes, splits[name])
+
+    def _false(self) -> Figures:
+        return {"false_in_10_min": false_in_10_min([(self._shipped, self._training)], play)}
 
     def _streams(self, model: Classifier | None, rest: int) -> Figures:
         return msgspec.structs.asdict(streams.measure(self._third, model or streams.held_out(), rest))
@@ -201,11 +201,7 @@ def main(arguments: Sequence[str]) -> int:
     # The daemon's log would report on every session.
     logging.disable()
     results = Results(chosen.out)
-    for name, measure in Tables(chosen).all():
-        if name.startswith(chosen.only) and not results.has(name):
-            since = monotonic()
-            results.put(name, measure(), monotonic() - since)
-            sys.stderr.write(f"{name}: {msgspec.json.encode(results.get(name)).decode()}\n")
+    results.measure(row for row in Tables(chosen).all() if row[0].startswith(chosen.only))
     if chosen.against is not None:
         sys.stdout.writelines(f"{line}\n" for line in differences(results, Results(chosen.against)))
     return 0

@@ -4,20 +4,17 @@ The sessions, streams and the firm pad of `tables`, with the tracker alone, in m
 """
 
 import logging
-import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from time import monotonic
 from typing import Any
 
 import msgspec
-import numpy as np
 
 from touchd.daemon.path.events import Event, TouchBegan, TouchEnded, timestamp
 from touchd.daemon.path.pipeline import question_of
 from touchd.daemon.path.tracker import SENSITIVITIES, Onset, Release, TouchSettings, TouchTracker
-from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH, Frame
+from touchd.drivers.frame import Frame
 from touchd.drivers.pad.grid import Ring
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 from touchd.model.studies.checks.evaluate import Split
@@ -29,7 +26,7 @@ from touchd.model.studies.results import STORED, Results
 from touchd.model.studies.sessions import firm_pad, streams
 from touchd.model.studies.sessions.plan import SessionSettings, sessions
 from touchd.model.studies.sessions.score import judge, score
-from touchd.model.studies.tables import DISTURBED, FIRM_RATES, NOISE_COUNTS, case_counts, delays
+from touchd.model.studies.tables import DISTURBED, FIRM_RATES, case_counts, delays, false_in_10_min
 from touchd.model.training import haart, second_study
 from touchd.model.training.weights import FABRIC_MODEL, left_out_split
 
@@ -140,15 +137,8 @@ class Comparison:
 
     def _sensitivity(self, held: Split, settings: TouchSettings) -> Figures:
         """Return delays, and the false touches in ten minutes on a pad with one more count of noise."""
-        rng, began, minutes = np.random.default_rng(0), 0, 0.0
-        for model, recordings in held:
-            for one in recordings:
-                if one.gesture == NO_TOUCH:
-                    noisy = (one.counts + NOISE_COUNTS * rng.normal(size=one.counts.shape)).clip(0).round()
-                    events = detect(frames_of(noisy.astype(np.uint16)), model, settings)
-                    began += sum(isinstance(event, TouchBegan) for event in events)
-                    minutes += len(noisy) / FRAME_RATE_HZ / 60.0
-        return {**self._found(held, settings), "false_with_noise": round(10.0 * began / minutes, 2)}
+        false = false_in_10_min(held, partial(detect, settings=settings))
+        return {**self._found(held, settings), "false_with_noise": false}
 
     def _streams(self, models: dict[str, Classifier] | Classifier) -> Figures:
         played = []
@@ -198,10 +188,6 @@ def main(arguments: Sequence[str]) -> int:
     chosen = parser.parse_args(arguments)
     logging.disable()
     results = Results(chosen.out)
-    for name, measure in Comparison(chosen).all():
-        if not results.has(name):
-            since = monotonic()
-            results.put(name, measure(), monotonic() - since)
-            sys.stderr.write(f"{name}: {msgspec.json.encode(results.get(name)).decode()}\n")
+    results.measure(Comparison(chosen).all())
     fill(chosen.docs / "sessions.md", tables(results))
     return 0
