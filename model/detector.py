@@ -80,7 +80,7 @@ class Detector:
 def at_rest(state: DetectorState, frames: NDArray[np.float32], *, forgets_hand: bool) -> DetectorState:
     """Return the state with (T, 64) counts of an untouched pad as its rest.
 
-    forgets_hand: whether it also begins without a memory, which holds a hand so far.
+    forgets_hand: whether to clear the network's memory too, which still holds a hand.
     """
     levels = state["levels"].copy()
     levels[0, 0] = median(frames)
@@ -89,7 +89,7 @@ def at_rest(state: DetectorState, frames: NDArray[np.float32], *, forgets_hand: 
 
 
 def after_gap(state: DetectorState, counts: NDArray[np.float32]) -> DetectorState:
-    """Return the state before (64,) counts that are not the next frame: the step to them is no movement."""
+    """Return the state for (64,) counts after a gap, so that the step across it is no movement."""
     levels = state["levels"].copy()
     levels[0, 1:] = counts
     return {**state, "levels": levels}

@@ -11,7 +11,7 @@ touched: rest and noise stay. The touch ends after `quiet_s` without a hand. A h
     classifier is asked. What the pad then reads is its new rest.
 
 A gap in the frames ends a touch. After a long gap, or with another sensor, rest is measured again. A load
-that keeps still for ten seconds is no hand, and becomes rest.
+that keeps still for ten seconds becomes rest.
 """
 
 import math
@@ -45,7 +45,7 @@ TAXELS = ROWS * COLUMNS
 SECOND_FRAMES = 2 * REST_FRAMES
 # After a longer gap, rest is measured again: it may be another pad.
 CHANGED_AFTER_MS = 2000.0
-# A load is the sum of what taxels read above rest and as many deviations of their noise, over so many frames.
+# Load: counts above rest plus so many noise deviations, averaged over so many frames and summed over the pad.
 SMOOTH_FRAMES, NOISE_DEVIATIONS = 3, 2.0
 # A taxel is still if its mean of half a second differs from that before by at most as many counts, or as
 # large a share of its load: a jacket laid on the pad settles so, a resting hand does not.
@@ -304,6 +304,6 @@ class TouchTracker:
         return Release(touch.first, touch.last, reason)
 
     def _rest_now(self, *, forgets_hand: bool) -> None:
-        """Take what the pad reads now as its rest. forgets_hand: the detector still takes it for a hand."""
+        """Take what the pad reads now as its rest. forgets_hand: clear the detector's memory of a hand."""
         self._known = at_rest(self._known, self._recent[-REST_FRAMES:], forgets_hand=forgets_hand)
         self._state = Quiet(self._index, self._index)

@@ -100,7 +100,7 @@ def tables(scores: Scores) -> dict[str, str]:
 
 
 def _more_tables(sets: Mapping[str, Evaluation]) -> dict[str, str]:
-    """Return the tables by length of a touch, and by what disturbs it."""
+    """Return the tables of accuracy by length of a touch and by disturbance."""
     return {
         "lengths": table(
             ("frames", *sets),

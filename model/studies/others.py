@@ -51,7 +51,7 @@ Floats = NDArray[np.float64]
 
 
 class Told(msgspec.Struct, frozen=True, kw_only=True):
-    """Percent of touches by what the robot was told, anything and with at least VERY_SURE. n: touches."""
+    """Percent of n touches for which the robot was told an answer, by its kind and least confidence."""
 
     n: int
     known: float

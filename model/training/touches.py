@@ -1,7 +1,8 @@
 """The windows that a network is refined on: gestures, slow caresses, changes, and touches that are neither.
 
-Known and unknown touches lie on every kind of pad and are varied alike, so that the pad does not tell the
-answer: fabric is also softened and pooled, the third study's pad also sharpened and scaled to fabric's range.
+Known and unknown touches come from every kind of pad, with the same augmentation, so that the pad does not
+give away the answer: fabric is also softened and pooled, the third study's pad also sharpened and scaled to
+fabric's range.
 """
 
 from collections.abc import Sequence
@@ -274,7 +275,7 @@ class TouchSampler:
         takes_part = share[:, 0] > 0
         is_soft = soft | (soft[other] & takes_part)
         unknown = torch.lerp(batch.unknown, batch.unknown[other], share[:, 0])
-        # A touch that is none of the gestures is no tickle either, on any pad.
+        # An unknown touch is not a tickle, on any pad.
         masked = is_soft[:, None] & self.missing & (unknown == 0.0)[:, None]
         possible = ~masked | (targets.amax(dim=1) > 0)
         taught = torch.where(takes_part, torch.minimum(batch.taught, batch.taught[other]), batch.taught)

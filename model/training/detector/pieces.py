@@ -22,7 +22,7 @@ Scans = NDArray[np.float32]
 VISIBLE_COUNTS, TAXEL_NOISE_COUNTS = 10.0, 2.5
 # A frame of a touch in which no hand shows teaches nothing, nor do those beside the hand's coming and going.
 BESIDE_FRAMES = 2
-# A hand that comes or goes is no hand yet, or any more, below this share of its load.
+# An arriving or leaving hand is ignored below this share of its load.
 SEEN_SHARE = 0.15
 # Share of the touches that are hugs, which no study has recorded; of the pieces without any touch.
 HUGS, IDLE = 0.2, 0.1

@@ -75,5 +75,5 @@ def _load(moved: Tensor, noise: Tensor) -> Tensor:
 
 
 def _share(seconds: float) -> float:
-    """Return by what share of a difference a level with this time constant follows in a frame."""
+    """Return the share of a difference that a level with this time constant follows in each frame."""
     return 1.0 / (seconds * FRAME_RATE_HZ)
