@@ -3,6 +3,7 @@
 The daemon never waits for the robot, whether it is away, hangs or refuses.
 """
 
+import itertools
 import logging
 import re
 import time
@@ -79,6 +80,9 @@ class RobotLink(Worker[Told]):
         self._sent_status: dict[str, str] = {}
         # Written by another thread, read here; replacing a value is atomic.
         self._status: dict[str, str] = dict.fromkeys(pads, "up")
+        self._asked = itertools.cycle(self._status)
+        # What another program last wrote instead of a pad's status.
+        self._foreign: dict[str, object] = {}
         self._acts = ActWorker("touchd-robot-actions", opened, limits) if acts else None
 
     def start(self) -> None:
@@ -142,12 +146,24 @@ class RobotLink(Worker[Told]):
                 return True
         return False
 
+    def ask(self, session: RobotSession) -> None:
+        """Check whether a pad's status is as it was written; another touchd's "down" is replaced."""
+        pad = next(self._asked)
+        name, ours = self._name(pad, "Status"), self._sent_status[pad]
+        found = session.call("ALMemory", "getData", name, limit_s=self._limits.call_s)
+        if found != ours:
+            self._foreign[pad] = found
+            self._faults.begin("shared", f"another touchd writes {name}; give one of them robot.prefix")
+            if found == "down":
+                self._send_status(session, pad, ours)
+
     def end(self, session: RobotSession) -> None:
-        """Remove gestures, and set the status of every pad to down."""
+        """Remove gestures, and set the status of every pad to down, unless another touchd has it up."""
         for pad in list(self._remove_at_s):
             self._remove(session, pad)
         for pad in self._status:
-            self._send_status(session, pad, "down")
+            if self._foreign.get(pad, "down") == "down":
+                self._send_status(session, pad, "down")
 
     def _name(self, pad: str, event: str) -> str:
         return f"{self._prefix}/{event}" if pad == DEFAULT_PAD else f"{self._prefix}/{pad}/{event}"

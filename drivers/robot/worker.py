@@ -26,7 +26,7 @@ LAST_WORDS_S = 0.5
 class Worker(ABC, Generic[Item]):
     """A thread that keeps a session with the robot and sends what a bounded queue holds.
 
-    The thread alone uses the session. `begin`, `handle`, `tend` and `end` may raise RobotLost or
+    The thread alone uses the session. `begin`, `handle`, `tend`, `ask` and `end` may raise RobotLost or
     RobotRefused.
     open_session: returns a new, unconnected session, given the event that is set once the daemon stops.
     An item is dropped if the queue is full or it waited too long. One that was refused, or during whose call
@@ -61,6 +61,10 @@ class Worker(ABC, Generic[Item]):
     def tend(self, session: RobotSession) -> bool:
         """Do what is due beside the queue; returns whether the robot was called."""
         return False
+
+    def ask(self, session: RobotSession) -> None:
+        """Ask an idle robot something, to notice that it hangs."""
+        session.call("ALSystem", "systemVersion", limit_s=self._limits.call_s)
 
     def end(self, session: RobotSession) -> None:
         """Clean up on the robot before the session is closed."""
@@ -126,7 +130,7 @@ class Worker(ABC, Generic[Item]):
     def _heartbeat(self, session: RobotSession) -> None:
         # An error is an answer too: only silence means that the robot hangs.
         with suppress(RobotRefused):
-            session.call("ALSystem", "systemVersion", limit_s=self._limits.call_s)
+            self.ask(session)
 
     def _handle_next(self, session: RobotSession) -> bool:
         """Handle the oldest item that is not stale; returns whether the robot was called."""

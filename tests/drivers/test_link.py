@@ -94,6 +94,24 @@ def test_the_status_is_sent_once_for_each_change() -> None:
     assert calls.raised(STATUS) == ["up", "down", "up", "down"]
 
 
+def test_two_links_with_one_prefix_say_so_and_keep_the_status_up(caplog: pytest.LogCaptureFixture) -> None:
+    calls, other = CallLog(), States()
+    with StubRobot(calls.add) as robot, linked(robot) as (link, states):
+        states.wait_for("up")
+        second = RobotLink(RobotSettings(url=URL), other, robot.open_session)
+        second.set_status("down")
+        second.start()
+        # The first replaces the "down", which the second notices as well.
+        shared = f"another touchd writes {STATUS}; give one of them robot.prefix"
+        wait_for(lambda: caplog.messages.count(shared) == 2)
+        second.set_status("up")
+        wait_for(lambda: calls.raised(STATUS) == ["up", "down", "up", "up"])
+        second.stop()
+        link.set_status("degraded")
+        calls.wait_for_raise(STATUS, "degraded")
+    assert calls.raised(STATUS) == ["up", "down", "up", "up", "degraded", "down"]
+
+
 def test_a_robot_that_comes_and_goes_is_logged_once_and_reported(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     with robot_and_link() as (robot, _, calls, states):

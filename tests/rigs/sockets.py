@@ -11,13 +11,24 @@ LOOPBACK = "0100007F"
 # Below the kernel's ephemeral ports, so that no other program is given one; each test process starts
 # elsewhere.
 _ports = itertools.count(10_000 + os.getpid() * 977 % 20_000)
+_reserved: list[socket.socket] = []
 
 
 def free_port() -> int:
-    """A free port of loopback."""
+    """A free port of loopback. Until this process ends, no other process gets it from here.
+
+    It stays bound by a socket that does not listen: servers, which set SO_REUSEADDR, can bind it as well.
+    """
     for port in _ports:
-        with suppress(OSError), socket.create_server(("127.0.0.1", port)):
-            return port
+        reserved = socket.socket()
+        try:
+            reserved.bind(("127.0.0.1", port))
+        except OSError:
+            reserved.close()
+            continue
+        reserved.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        _reserved.append(reserved)
+        return port
     raise AssertionError
 
 
