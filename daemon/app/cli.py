@@ -27,7 +27,7 @@ COMMANDS = {
     "fake-robot": "simulates a robot and prints every call",
     "classify": "prints the answers to recordings, without a port",
     "record": "guides you through making recordings",
-    "teach": "records your gestures and adapts the model, in three minutes",
+    "teach": "records your gestures and adapts the model, in five minutes",
     "train": "adapts the model to recordings of your own",
     "plot": "draws recordings, or a journal, as a picture",
     "convert": "writes a journal or a recording as CSV or MCAP",

@@ -61,7 +61,7 @@ def main(arguments: Sequence[str]) -> int:
         from touchd.model.adapt.folder import files_of, read_file
         from touchd.model.adapt.head import AdaptSettings
         from touchd.model.adapt.output import check_output
-        from touchd.model.adapt.report import report_lines
+        from touchd.model.adapt.report import is_better, report_lines
         from touchd.model.adapt.ship import adapt_folder
 
     console = Console(width=text_width(), highlight=False, markup=False)
@@ -79,7 +79,8 @@ def main(arguments: Sequence[str]) -> int:
         words = words_of(found.settings)
         for line in report_lines(adapted, {label: name_of(words, label) for label in adapted.labels}):
             console.print(line)
-        console.print(how_to_use(output.resolve(), found.file, options.pad), soft_wrap=True)
+        better = is_better(adapted.comparison)
+        console.print(how_to_use(output.resolve(), found.file, options.pad, is_better=better), soft_wrap=True)
     except (Stopped, KeyboardInterrupt):
         console.print("\nStopped. What was kept is safe; the same command continues from here.")
         return INCOMPLETE
@@ -106,7 +107,7 @@ def _record(console: Console, options: argparse.Namespace, settings: Settings) -
         Dialogue(console, pad, settings, session, terms).run()
 
 
-def how_to_use(model: Path, config: Path | None, pad: str | None) -> str:
+def how_to_use(model: Path, config: Path | None, pad: str | None, *, is_better: bool) -> str:
     """Return the line that sets a model in a configuration, and what to do before if it is the service's."""
     lines = [f"\nThe new model is {model}"]
     if config is not None and config.resolve().parent == SERVICE_FOLDER:
@@ -115,4 +116,7 @@ def how_to_use(model: Path, config: Path | None, pad: str | None) -> str:
         model = SERVICE_FOLDER / model.name
     place = f"{config or 'touchd.yaml'}{f', under sensors.{pad}' if pad else ''}"
     value = json.dumps(str(model), ensure_ascii=False)
-    return "\n".join([*lines, f"To use it, set in {place}:\n", f"model: {value}"])
+    if not is_better:
+        lines.append("It is not known to be better: keep the model that you have, or record more.")
+    use = "To use it" if is_better else "To use it all the same"
+    return "\n".join([*lines, f"{use}, set in {place}:\n", f"model: {value}"])

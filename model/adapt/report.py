@@ -58,6 +58,13 @@ def report_lines(adapted: Adapted, names: Mapping[str, str] = NO_NAMES) -> Itera
         yield from textwrap.wrap(f"! {warning}", WIDTH, subsequent_indent="  ")
 
 
+def is_better(comparison: Comparison) -> bool:
+    """Return whether the adapted model is known to be right more often than the shipped one."""
+    interval = comparison.lengths[-1].interval if comparison.lengths else None
+    are_few = comparison.left_out == "participants" and comparison.participants < FEW_PARTICIPANTS
+    return interval is not None and interval[0] > 0.0 and not are_few
+
+
 def _lacks(adapted: Adapted, names: Mapping[str, str]) -> Iterable[str]:
     """Yield what the recordings do not show of a gesture."""
     gestures = Counter(recording.gesture for recording in adapted.recordings)

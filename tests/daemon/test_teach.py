@@ -38,16 +38,22 @@ def test_the_printed_line_sets_the_model(
     tmp_path: Path, config: str | None, pad: str | None, place: str
 ) -> None:
     model = tmp_path / "a: ö.onnx"
-    said = how_to_use(model, Path(config) if config else None, pad)
+    said = how_to_use(model, Path(config) if config else None, pad, is_better=True)
     assert place in said
     (path := tmp_path / "touchd.yaml").write_text(said.splitlines()[-1])
     assert load(path).model == str(model)
 
 
 def test_the_service_gets_a_model_outside_home_folders() -> None:
-    said = how_to_use(Path("/home/lab/lab 1.onnx"), Path("/etc/touchd/touchd.yaml"), None).splitlines()
-    assert "Copy it: sudo install -m 644 '/home/lab/lab 1.onnx' /etc/touchd/" in said
-    assert said[-1] == 'model: "/etc/touchd/lab 1.onnx"'
+    said = how_to_use(Path("/home/lab/lab 1.onnx"), Path("/etc/touchd/touchd.yaml"), None, is_better=True)
+    assert "Copy it: sudo install -m 644 '/home/lab/lab 1.onnx' /etc/touchd/" in said.splitlines()
+    assert said.splitlines()[-1] == 'model: "/etc/touchd/lab 1.onnx"'
+
+
+def test_a_model_not_known_to_be_better_is_not_recommended() -> None:
+    said = how_to_use(Path("lab.onnx"), None, None, is_better=False)
+    assert "keep the model that you have" in said
+    assert "To use it all the same, set in touchd.yaml:" in said
 
 
 def test_a_stopped_session_does_not_end_as_a_finished_one(tmp_path: Path) -> None:
@@ -97,7 +103,7 @@ def test_one_command_leads_from_pad_to_model(tmp_path: Path, monkeypatch: pytest
         options = ["-c", str(config), "--participant", "anna", "--rounds", "2", "--seconds", "1.5"]
         with Terminal("teach", str(config.with_name("lab")), *options) as terminal:
             answers = {"Enter to begin": "", "Enter to do it again, k": "k", "Enter to keep it": ""}
-            while (shown := terminal.until_one(*answers, "To use it, set in")) in answers:
+            while (shown := terminal.until_one(*answers, ", set in")) in answers:
                 terminal.answer(answers[shown])
             terminal.until('.onnx"')
             assert terminal.process.wait(WITHIN_S) == 0

@@ -39,7 +39,7 @@ from touchd.model.adapt.output import model_name  # noqa: E402
 from touchd.model.adapt.passing import InPassing, joined  # noqa: E402
 from touchd.model.adapt.plan import LeftOut, plan  # noqa: E402
 from touchd.model.adapt.remembered import Remembered  # noqa: E402
-from touchd.model.adapt.report import report_lines  # noqa: E402
+from touchd.model.adapt.report import is_better, report_lines  # noqa: E402
 from touchd.model.adapt.ship import write  # noqa: E402
 from touchd.model.classifier import SHIPPED_MODEL, Classifier, Name  # noqa: E402
 from touchd.model.studies.checks.hard_cases import hand  # noqa: E402
@@ -579,6 +579,7 @@ def test_the_verdict_goes_as_far_as_chance_allows(
     report = words(report_lines(replace(adapted, comparison=measured)))
     doubts = ("Too little to tell", "worse than the shipped model", "Fewer than 3 participants")
     assert [doubt for doubt in doubts if doubt in report] == ([said] if said else [])
+    assert is_better(measured) == (said == "")
 
 
 # --- unusable recordings ---
