@@ -22,7 +22,7 @@ from touchd.daemon.path.service import Service
 from touchd.daemon.robot.words import words_of
 from touchd.daemon.sinks.labels import make_labeller
 from touchd.daemon.sinks.sink import LinesSink
-from touchd.daemon.sinks.tags import TagServer, changed
+from touchd.daemon.sinks.tags import changed, serving_tags
 from touchd.daemon.view.describe import describe
 from touchd.daemon.view.terminal import listening
 
@@ -123,7 +123,8 @@ def main(arguments: Sequence[str]) -> int:
         closing.callback(signals.ignore)
         service = Service(settings)
         service.events.tags = tags
-        closing.enter_context(TagServer(service.events, found.file))
+        ports = [pad.sensor.port for pad in settings.pads.values()]
+        closing.enter_context(serving_tags(service.events, found.file, ports))
         page, code = _live_page(settings) if settings.live else ("", "")
         if options.view:
             handler = _show_in_terminal(service, settings, page, closing)

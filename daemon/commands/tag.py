@@ -1,6 +1,7 @@
 """`touchd tag`: puts tags into the events of a daemon that runs on this computer."""
 
 import argparse
+import os
 import socket
 import sys
 from collections.abc import Sequence
@@ -33,10 +34,21 @@ def main(arguments: Sequence[str]) -> int:
     options = parser().parse_args(arguments)
     # Report a mistake in a tag before a missing daemon.
     changed({}, options.tags)
-    running = _running(options.config)
+    wanted = str(options.config.resolve()) if options.config else None
+    asked = ((path, _request(path, [])) for path in sockets())
+    running = {path: reply for path, reply in asked if reply and wanted in (None, reply.config)}
+    if not running:
+        which = "no touchd with these settings" if wanted else "no touchd of yours"
+        raise TagError(
+            f"{which} runs on this computer; start it, or give the tags to `touchd run --tag`; if another "
+            "user started it, put sudo before the command"
+        )
     if len(running) > 1:
-        configs = "; ".join(sorted(reply.config or "the defaults" for reply in running.values()))
-        raise TagError(f"{len(running)} touchd run on this computer; choose one with -c FILE: {configs}")
+        each = "; ".join(
+            f"{reply.config or 'the defaults'} (pad at {', '.join(reply.ports)})"
+            for reply in running.values()
+        )
+        raise TagError(f"{len(running)} touchd run on this computer; choose one with -c FILE: {each}")
     (path,) = running
     reply = _request(path, options.tags)
     if reply is None:
@@ -47,29 +59,15 @@ def main(arguments: Sequence[str]) -> int:
     return 0
 
 
-def _running(config: Path | None) -> dict[Path, Reply]:
-    """Return the sockets of the daemons that run with this configuration, or of all; raises TagError."""
-    wanted = str(config.resolve()) if config is not None else None
-    running: dict[Path, Reply] = {}
-    for path in sockets():
-        reply = _request(path, [])
-        if reply and wanted in (None, reply.config):
-            running[path] = reply
-    if not running:
-        which = "no touchd with these settings" if config else "no touchd of yours"
-        raise TagError(
-            f"{which} runs on this computer; start it, or give the tags to `touchd run --tag`; if another "
-            "user started it, put sudo before the command"
-        )
-    return running
-
-
 def _request(path: Path, tags: list[str]) -> Reply | None:
     """Send tags to a daemon; return its reply, None if it has ended or is another user's.
 
     Raises TagError if it hangs.
     """
     try:
+        # In /tmp, another user may have put a socket that anybody reaches.
+        if os.geteuid() not in (0, path.stat().st_uid):
+            return None
         with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as connection:
             connection.settimeout(2 * ANSWER_WITHIN_S)
             connection.connect(str(path))

@@ -7,8 +7,8 @@ import re
 import socket
 import threading
 import zlib
-from collections.abc import Iterable, Mapping
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from glob import glob
 from pathlib import Path
 
@@ -24,9 +24,8 @@ LONGEST_VALUE = 64
 MOST_TAGS = 8
 MOST_BYTES = 8192
 ANSWER_WITHIN_S = 1.0
-# Where the daemons of systemd and of root have their sockets, and those of other users.
-SERVICES = ("/run/touchd*",)
-OTHERS = ("/run/user/*/touchd", "/tmp/touchd-*")
+# Of the sockets of the service's daemons, of users' daemons, and of daemons without a folder of their own.
+FOLDERS = ("/run/touchd*", "/run/user/*", "/tmp")
 
 
 class TagError(TouchdError):
@@ -36,10 +35,11 @@ class TagError(TouchdError):
 class Reply(msgspec.Struct):
     """A daemon's answer to a request for tags.
 
-    config: the file of its settings, "" for the defaults. error: why nothing was changed, or "".
+    config: the file of its settings, "" for the defaults. ports: of its pads. error: why nothing was changed.
     """
 
     config: str
+    ports: list[str]
     tags: dict[str, str]
     error: str = ""
 
@@ -72,88 +72,69 @@ def in_words(tags: Mapping[str, str]) -> str:
 
 
 def own_folder() -> Path:
-    """Return the folder for the socket of a daemon that this process is: only its user and root read it."""
-    if service := os.environ.get("RUNTIME_DIRECTORY"):
-        return Path(service.partition(":")[0])
-    session = Path(os.environ.get("XDG_RUNTIME_DIR") or "/nonexistent")
-    # With sudo -E it is another user's.
-    if session.is_dir() and session.stat().st_uid == os.geteuid():
-        return session / "touchd"
-    if os.geteuid() == 0:
-        return Path("/run/touchd")
-    return Path(f"/tmp/touchd-{os.geteuid()}")
+    """Return the folder for the socket of a daemon that this process is."""
+    named = os.environ.get("RUNTIME_DIRECTORY") or os.environ.get("XDG_RUNTIME_DIR")
+    return Path(named) if named and os.access(named, os.W_OK) else Path("/tmp")
 
 
 def sockets() -> list[Path]:
-    """Return the sockets of the daemons that this user may reach: root reaches every user's."""
-    folders = (str(own_folder()), *SERVICES, *(OTHERS if os.geteuid() == 0 else ()))
-    return sorted({Path(path) for folder in folders for path in glob(f"{folder}/*.socket")})
+    """Return the sockets of the daemons on this computer; only root reaches those of other users."""
+    folders = (str(own_folder()), *FOLDERS)
+    return sorted({Path(path) for folder in folders for path in glob(f"{folder}/touchd-*.socket")})
 
 
-class TagServer:
-    """Takes tags from `touchd tag`, for this user and root, while the daemon runs. A context manager.
+@contextmanager
+def serving_tags(events: EventFanout, config: Path | None, ports: Sequence[str]) -> Iterator[None]:
+    """Take tags from `touchd tag`, from this user and root, while the context lasts.
 
-    config: the file of the daemon's settings, after which the socket is named; None for the defaults.
+    config: the file of the daemon's settings, None for the defaults. ports: of its pads.
     """
-
-    def __init__(self, events: EventFanout, config: Path | None) -> None:
-        self._events = events
-        self._config = str(config.resolve()) if config is not None else ""
-        digest = f"{zlib.crc32(self._config.encode()):08x}"
-        self._path = own_folder() / f"{digest}.socket"
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self._thread = threading.Thread(target=self._serve, name="touchd-tags", daemon=True)
-
-    def __enter__(self) -> "TagServer":
+    own = Reply(str(config.resolve()) if config else "", list(ports), {})
+    # The user's number, as /tmp is everybody's.
+    name = f"{os.geteuid()}-{zlib.crc32(own.config.encode()):08x}"
+    path = own_folder() / f"touchd-{name}.socket"
+    with ExitStack() as closing:
+        listener = closing.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET))
         try:
-            self._bind()
-            self._socket.listen()
-            self._thread.start()
+            _bind(listener, path)
         except OSError as error:
-            log.warning("`touchd tag` will not work: %s: %s", self._path, error.strerror or error)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        with suppress(OSError):
-            self._socket.shutdown(socket.SHUT_RDWR)
-        self._socket.close()
-        if self._thread.ident is not None:
-            self._thread.join(ANSWER_WITHIN_S)
-            with suppress(OSError):
-                self._path.unlink()
-
-    def _bind(self) -> None:
-        folder = self._path.parent
-        folder.mkdir(mode=0o700, exist_ok=True)
-        if folder.stat().st_uid not in (0, os.geteuid()):
-            # In /tmp, somebody else may have made it.
-            raise PermissionError(errno.EPERM, "the folder is another user's")
-        if self._path.exists() and not _is_served(self._path):
-            # A daemon that was killed left it.
-            self._path.unlink()
-        self._socket.bind(str(self._path))
-        self._path.chmod(0o600)
-
-    def _serve(self) -> None:
-        with suppress(OSError):
-            while True:
-                connection, _ = self._socket.accept()
-                with connection, suppress(OSError):
-                    connection.settimeout(ANSWER_WITHIN_S)
-                    connection.send(msgspec.json.encode(self._answer(connection.recv(MOST_BYTES))))
-
-    def _answer(self, request: bytes) -> Reply:
-        before = dict(self._events.tags)
-        try:
-            new = changed(before, msgspec.json.decode(request, type=list[str]))
-        except (TagError, msgspec.DecodeError, RecursionError) as error:
-            return Reply(self._config, before, str(error))
-        if new != before:
-            self._events.tags = new
-            log.info("tags: %s", in_words(new))
-        return Reply(self._config, new)
+            log.warning("`touchd tag` will not work: %s: %s", path, error.strerror or error)
+        else:
+            thread = threading.Thread(target=_serve, args=(listener, events, own), name="touchd-tags")
+            thread.daemon = True
+            thread.start()
+            closing.callback(path.unlink, missing_ok=True)
+            closing.callback(thread.join, ANSWER_WITHIN_S)
+            closing.callback(listener.shutdown, socket.SHUT_RDWR)
+        yield
 
 
-def _is_served(path: Path) -> bool:
-    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as connection:
-        return connection.connect_ex(str(path)) != errno.ECONNREFUSED
+def _bind(listener: socket.socket, path: Path) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as client:
+        # A daemon that was killed leaves its socket.
+        if client.connect_ex(str(path)) == errno.ECONNREFUSED:
+            path.unlink()
+    listener.bind(str(path))
+    path.chmod(0o600)
+    listener.listen()
+
+
+def _serve(listener: socket.socket, events: EventFanout, own: Reply) -> None:
+    with suppress(OSError):
+        while True:
+            connection, _ = listener.accept()
+            with connection, suppress(OSError):
+                connection.settimeout(ANSWER_WITHIN_S)
+                connection.send(msgspec.json.encode(_answer(connection.recv(MOST_BYTES), events, own)))
+
+
+def _answer(request: bytes, events: EventFanout, own: Reply) -> Reply:
+    before = dict(events.tags)
+    try:
+        new = changed(before, msgspec.json.decode(request, type=list[str]))
+    except (TagError, msgspec.DecodeError, RecursionError) as error:
+        return msgspec.structs.replace(own, tags=before, error=str(error))
+    if new != before:
+        events.tags = new
+        log.info("tags: %s", in_words(new))
+    return msgspec.structs.replace(own, tags=new)

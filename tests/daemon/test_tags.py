@@ -21,26 +21,16 @@ from touchd.daemon.app import cli
 from touchd.daemon.path.events import Event, RobotEvent, encode
 from touchd.daemon.sinks import tags
 from touchd.daemon.sinks.sink import EventFanout
-from touchd.daemon.sinks.tags import TagError, TagServer, changed
+from touchd.daemon.sinks.tags import TagError, changed, serving_tags
 from touchd.daemon.sinks.touches import decode
 
-SERVE = """
-import sys
-from pathlib import Path
-from touchd.daemon.sinks.sink import EventFanout
-from touchd.daemon.sinks.tags import TagServer
-with TagServer(EventFanout(), Path(sys.argv[1])):
-    print(1, flush=True)
-    sys.stdin.read()
-"""
 # The first call loads every module, which the other user may not be able to read.
 AS_ANOTHER_USER = """
 import os, sys
 from contextlib import suppress
 from touchd.daemon.commands import tag
 from touchd.daemon.sinks import tags
-tags.SERVICES = (sys.argv[1],)
-tags.OTHERS = ()
+tags.FOLDERS = (sys.argv[1],)
 with suppress(tags.TagError):
     tag.main(["-c", "none"])
 os.setuid(65534)
@@ -53,9 +43,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The only folder in which this computer's daemons have their sockets."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
-    monkeypatch.setattr(tags, "SERVICES", ())
-    monkeypatch.setattr(tags, "OTHERS", ())
-    return tmp_path / "touchd"
+    monkeypatch.setattr(tags, "FOLDERS", ())
+    return tmp_path
 
 
 class Listed:
@@ -73,11 +62,11 @@ class Listed:
 
 
 @contextmanager
-def tagged() -> Iterator[tuple[EventFanout, Listed]]:
+def tagged(config: str = "a.yaml") -> Iterator[tuple[EventFanout, Listed]]:
     """Serve tags of a fan-out to one sink, in this process."""
     fanout, sink = EventFanout(), Listed()
     fanout.sinks = (sink,)
-    with TagServer(fanout, Path("a.yaml")):
+    with serving_tags(fanout, Path(config), [f"/dev/{config}"]):
         yield fanout, sink
 
 
@@ -148,32 +137,23 @@ def test_without_a_daemon_it_says_so_in_a_line(
     assert len(said.splitlines()) == 1
 
 
-def test_of_two_daemons_one_has_to_be_chosen(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    config = tmp_path / "b.yaml"
-    served = [sys.executable, "-c", SERVE, str(config)]
-    with (
-        tagged() as (fanout, _),
-        subprocess.Popen(served, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other,
-    ):
-        assert other.stdout is not None
-        other.stdout.readline()
+def test_of_two_daemons_one_has_to_be_chosen(capsys: pytest.CaptureFixture[str]) -> None:
+    with tagged() as (fanout, _), tagged("b.yaml") as (other, _):
         assert tag("participant=P07") == 2
         said = capsys.readouterr().err
         assert "choose one with -c FILE: " in said
-        assert str(Path("a.yaml").resolve()) in said
-        assert str(config) in said
+        for config in ("a.yaml", "b.yaml"):
+            assert f"{Path(config).resolve()} (pad at /dev/{config})" in said
         assert tag("participant=P07", "-c", "a.yaml") == 0
-        assert fanout.tags == {"participant": "P07"}
-        other.communicate()
+        assert (fanout.tags, other.tags) == ({"participant": "P07"}, {})
 
 
 def test_a_daemon_that_hangs_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder.mkdir()
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as hanging:
-        hanging.bind(str(folder / "a.socket"))
+        hanging.bind(str(folder / "touchd-a.socket"))
         hanging.listen()
         assert tag("participant=P07") == 2
-    assert f"{folder}/a.socket does not answer" in capsys.readouterr().err
+    assert f"{folder}/touchd-a.socket does not answer" in capsys.readouterr().err
 
 
 def test_what_a_killed_daemon_left_is_replaced(folder: Path) -> None:
@@ -192,6 +172,14 @@ def test_a_second_daemon_of_one_file_leaves_the_firsts_socket(caplog: pytest.Log
         with tagged():
             assert "`touchd tag` will not work" in caplog.text
         assert tag("participant=P07") == 0
+        assert fanout.tags == {"participant": "P07"}
+
+
+@pytest.mark.parametrize("session", ["", "/nowhere"])
+def test_without_a_session_daemon_and_command_meet_too(monkeypatch: pytest.MonkeyPatch, session: str) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", session)
+    with tagged() as (fanout, _):
+        assert tag("participant=P07", "-c", "a.yaml") == 0
         assert fanout.tags == {"participant": "P07"}
 
 
