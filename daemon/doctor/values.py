@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from touchd.daemon.app.config import Settings
 from touchd.daemon.doctor.check import Check, Sample, Verdict
 from touchd.daemon.path.monitor import FAULTS, STILL_S, TaxelFaults, places
-from touchd.daemon.path.pipeline import question_of
-from touchd.daemon.path.tracker import Onset, TouchTracker
+from touchd.daemon.path.pipeline import tracker_of
+from touchd.daemon.path.tracker import Onset
 from touchd.drivers.frame import COLUMNS, MAX_COUNT, ROWS, Frame
 from touchd.drivers.pace import steps_ms
 from touchd.drivers.pad.grid import Ring
@@ -62,8 +62,7 @@ def check_rest(sample: Sample, settings: Settings) -> Check:
 
 def check_quiet(sample: Sample, settings: Settings) -> Check:
     """Report whether the daemon would have detected a touch."""
-    question, is_finer = question_of(Classifier.load()), settings.pipeline.is_finer
-    ring, tracker = Ring(1), TouchTracker(settings.touch, Detector.load(), question, is_finer=is_finer)
+    ring, tracker = Ring(1), tracker_of(settings.pipeline, Classifier.load(), Detector.load())
     laid = (laid for frame in sample.frames for laid in ring.push(frame))
     touches = sum(isinstance(tracker.update(frame), Onset) for frame in laid)
     figures = {"touches": float(touches)}

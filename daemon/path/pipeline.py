@@ -27,7 +27,7 @@ from touchd.daemon.path.events import (
 from touchd.daemon.path.feel import FeelMeter
 from touchd.daemon.path.monitor import PadMonitor
 from touchd.daemon.path.staleness import Staleness
-from touchd.daemon.path.tracker import SETTLED_FRAMES, Onset, Question, Release, TouchSettings, TouchTracker
+from touchd.daemon.path.tracker import SETTLED_FRAMES, Onset, Release, TouchSettings, TouchTracker
 from touchd.drivers.errors import one_line
 from touchd.drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, NO_TOUCH, Frame, SensorState
 from touchd.drivers.pad.grid import GridFrame, Ring
@@ -136,9 +136,7 @@ class Pipeline:
         # When a touch ends, its last frame is already older by the quiet that ended it.
         self._stale_s = settings.decision.stale_s + settings.touch.quiet_s
         self._model = model
-        self._tracker = TouchTracker(
-            settings.touch, detector or Detector.load(), question_of(model), is_finer=settings.is_finer
-        )
+        self._tracker = tracker_of(settings, model, detector or Detector.load())
         # The longest window, and twice what settles before a touch ends.
         self._ring = Ring(self._final_frames + 2 * SETTLED_FRAMES)
         self._numbers = itertools.count(1)
@@ -361,12 +359,14 @@ class Pipeline:
         return timestamp(self._clock.epoch_s())
 
 
-def question_of(model: Classifier) -> Question | None:
-    """Return how the tracker asks the model whether nothing touches the pad; None if it cannot tell."""
-    if NO_TOUCH not in model.labels:
-        return None
-    place = model.labels.index(NO_TOUCH)
-    return lambda frames, rest: float(model.probabilities(as_known(frames, rest))[place])
+def tracker_of(settings: PipelineSettings, model: Classifier, detector: Detector) -> TouchTracker:
+    """Return what finds a pad's touches; in doubt it asks the model, if that knows `notouch`."""
+
+    def p_no_touch(frames: NDArray[np.float32], rest: NDArray[np.float32]) -> float:
+        return float(model.probabilities(as_known(frames, rest))[model.labels.index(NO_TOUCH)])
+
+    question = p_no_touch if NO_TOUCH in model.labels else None
+    return TouchTracker(settings.touch, detector, question, is_finer=settings.is_finer)
 
 
 def _leaves(load: NDArray[np.float32]) -> bool:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from rigs.made_pad import MadePad, Scans, nothing
 
-from touchd.daemon.path.pipeline import question_of
+from touchd.daemon.path.pipeline import PipelineSettings, tracker_of
 from touchd.daemon.path.tracker import Onset, Release, TouchSettings, TouchTracker
 from touchd.drivers.pad.grid import GridFrame
 from touchd.model.classifier import Classifier
@@ -23,12 +23,12 @@ class TrackedPad(MadePad):
         is_finer: bool = False,
     ) -> None:
         super().__init__()
-        question = question_of(Classifier.load())
+        found_by = PipelineSettings(touch=settings or TouchSettings(), is_finer=is_finer)
+        detector = detector or Detector.load()
+        self.tracker = tracker_of(found_by, Classifier.load(), detector)
         if p_no_touch is not None:
             question = lambda frames, rest: p_no_touch(frames)  # noqa: E731
-        self.tracker = TouchTracker(
-            settings or TouchSettings(), detector or Detector.load(), question, is_finer=is_finer
-        )
+            self.tracker = TouchTracker(found_by.touch, detector, question, is_finer=is_finer)
         self.index = 0
         self.gap_ms = 0.0
 

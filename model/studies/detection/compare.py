@@ -12,8 +12,8 @@ from typing import Any
 import msgspec
 
 from touchd.daemon.path.events import Event, TouchBegan, TouchEnded, timestamp
-from touchd.daemon.path.pipeline import question_of
-from touchd.daemon.path.tracker import SENSITIVITIES, Onset, Release, TouchSettings, TouchTracker
+from touchd.daemon.path.pipeline import PipelineSettings, tracker_of
+from touchd.daemon.path.tracker import SENSITIVITIES, Onset, Release, TouchSettings
 from touchd.drivers.frame import Frame
 from touchd.drivers.pad.grid import Ring
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
@@ -51,9 +51,8 @@ def detect(
     goes on.
     """
     ring = Ring(HISTORY_FRAMES)
-    tracker = TouchTracker(
-        settings or TouchSettings(), detector_for(model), question_of(model), is_finer=is_finer
-    )
+    found_by = PipelineSettings(touch=settings or TouchSettings(), is_finer=is_finer)
+    tracker = tracker_of(found_by, model, detector_for(model))
     events: list[Event] = []
     number, now_s = 0, 0.0
     for frame in frames:
