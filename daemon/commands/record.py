@@ -6,19 +6,16 @@ from pathlib import Path
 
 from rich.console import Console
 
-from touchd.daemon.commands.settings import add_settings, settings_of
+from touchd.daemon.commands.settings import add_settings, load_model, settings_of
 from touchd.daemon.record.capture import PadReader
-from touchd.daemon.record.dialogue import GESTURES, HOW, Dialogue, Terms
-from touchd.daemon.record.session import Session, ask_setting, name
+from touchd.daemon.record.dialogue import GESTURES, HOW, Dialogue
+from touchd.daemon.record.session import Session, Setting, ask_name, name
 from touchd.daemon.view.terminal import Stopped, text_width
 from touchd.drivers.errors import within
 from touchd.drivers.recording import prepare
 from touchd.model.adapt.folder import trouble_with
 
 INCOMPLETE = 1
-MOST_ROUNDS = 100
-MOST_GESTURES = 50
-SHORTEST_S, LONGEST_S = 1.0, 60.0
 
 
 def parser() -> argparse.ArgumentParser:
@@ -39,22 +36,10 @@ def parser() -> argparse.ArgumentParser:
         metavar="A,B,...",
         help="which, your own too; other: touches that are none of them (%(default)s)",
     )
+    parser.add_argument("--rounds", type=within(int, 1, 100), default=1, help="of each gesture (%(default)s)")
     parser.add_argument(
-        "--rounds", type=within(int, 1, MOST_ROUNDS), default=1, help="of each gesture (%(default)s)"
+        "--seconds", type=within(float, 1.0, 60.0), default=8.0, help="of each recording (%(default)g)"
     )
-    parser.add_argument(
-        "--seconds",
-        type=within(float, SHORTEST_S, LONGEST_S),
-        default=8.0,
-        help="length of each recording (%(default)g)",
-    )
-    parser.add_argument(
-        "--countdown",
-        type=within(float, SHORTEST_S, LONGEST_S),
-        default=3.0,
-        help="seconds of rest before each recording (%(default)g)",
-    )
-    parser.add_argument("--licence", default="not stated", help="what others may do with the recordings")
     add_settings(parser)
     return parser
 
@@ -66,29 +51,25 @@ def main(arguments: Sequence[str]) -> int:
     """
     options = parser().parse_args(arguments)
     console = Console(width=text_width(), highlight=False, markup=False)
+    settings = settings_of(options).settings
     try:
-        return 0 if _record(console, options) else INCOMPLETE
+        with PadReader(settings, load_model(settings)) as pad:
+            prepare(options.folder)
+            setting = Setting(
+                options.participant or ask_name(console, "Who touches the pad?"),
+                options.substrate or ask_name(console, "What is under the pad?", "none"),
+                options.cover or ask_name(console, "What is over the pad?", "none"),
+            )
+            session = Session(options.folder, setting, options.gestures, options.rounds, options.seconds)
+            Dialogue(console, pad, session).run()
+            return INCOMPLETE if session.missing() else 0
     except (Stopped, KeyboardInterrupt):
         console.print("\nStopped. What was kept is safe; the same command continues from here.")
         return INCOMPLETE
 
 
-def _record(console: Console, options: argparse.Namespace) -> bool:
-    """Record the pad; return whether all recordings are there; raises Stopped."""
-    settings = settings_of(options).settings
-    with PadReader(settings) as pad:
-        prepare(options.folder)
-        terms = Terms(options.seconds, options.countdown, options.licence)
-        setting = ask_setting(console, options)
-        session = Session(options.folder, setting, options.gestures, options.rounds)
-        Dialogue(console, pad, settings, session, terms).run()
-        return not session.missing()
-
-
 def _names(text: str) -> tuple[str, ...]:
     names = tuple(dict.fromkeys(name(part.strip()) for part in text.split(",")))
-    if len(names) > MOST_GESTURES:
-        raise argparse.ArgumentTypeError(f"more than {MOST_GESTURES} gestures")
     if why := trouble_with(names, HOW):
         raise argparse.ArgumentTypeError(why)
     return names

@@ -9,10 +9,10 @@ from pathlib import Path
 from rich.console import Console
 
 from touchd.daemon.app.config import Settings
-from touchd.daemon.commands.record import INCOMPLETE, LONGEST_S, SHORTEST_S
-from touchd.daemon.commands.settings import SERVICE_FOLDER, add_settings, settings_of
+from touchd.daemon.commands.record import INCOMPLETE
+from touchd.daemon.commands.settings import SERVICE_FOLDER, add_settings, load_model, settings_of
 from touchd.daemon.record.capture import PadReader
-from touchd.daemon.record.dialogue import GESTURES, HOW, HOW_ONCE, Dialogue, Terms
+from touchd.daemon.record.dialogue import EDGE_S, GESTURES, HOW, HOW_ONCE, Dialogue
 from touchd.daemon.record.session import Session, Setting, ask_name, name
 from touchd.daemon.robot.words import name_of, words_of
 from touchd.daemon.view.terminal import Stopped, text_width
@@ -24,7 +24,6 @@ ROUNDS = 2
 # once take half a minute.
 SECONDS = 6.0
 SINGLES = tuple(HOW_ONCE)
-COUNTDOWN_S = 2.0
 
 
 def parser() -> argparse.ArgumentParser:
@@ -39,12 +38,6 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--participant", type=name, metavar="NAME", help="who touches; asked if missing")
     parser.add_argument(
         "--rounds", type=within(int, 1, 10), default=ROUNDS, metavar="N", help="of each gesture (%(default)s)"
-    )
-    parser.add_argument(
-        "--seconds",
-        type=within(float, SHORTEST_S, LONGEST_S),
-        default=SECONDS,
-        help="of each recording (%(default)g)",
     )
     parser.add_argument(
         "--other", action="store_true", help="also record touches that are none of the gestures, as other"
@@ -90,21 +83,27 @@ def main(arguments: Sequence[str]) -> int:
 def _record(console: Console, options: argparse.Namespace, settings: Settings) -> None:
     """Make the missing recordings; raises Stopped."""
     participant = options.participant or ask_name(console, "Who touches the pad?")
-    gestures = tuple(HOW) if options.other else GESTURES
-    session = Session(options.folder, Setting(participant), gestures, options.rounds, SINGLES)
+    session = Session(
+        options.folder,
+        Setting(participant),
+        tuple(HOW) if options.other else GESTURES,
+        options.rounds,
+        SECONDS,
+        SINGLES,
+        flowing=True,
+        names={gesture: name_of(words_of(settings), gesture) for gesture in HOW},
+    )
     if not session.missing():
         console.print(
             f"{options.folder} has all recordings of {participant}; another person needs another name"
         )
         return
-    with PadReader(settings) as pad:
+    with PadReader(settings, load_model(settings)) as pad:
         console.print(
             f"{len(session.takes())} recordings follow one another: hands off, then the gesture until the "
-            f"bar is full ({options.seconds:g} s), or once. q stops."
+            f"bar is full ({SECONDS + 2 * EDGE_S:g} s), or once. q stops."
         )
-        names = {gesture: name_of(words_of(settings), gesture) for gesture in HOW}
-        terms = Terms(options.seconds, COUNTDOWN_S, "not stated", flowing=True, names=names)
-        Dialogue(console, pad, settings, session, terms).run()
+        Dialogue(console, pad, session).run()
 
 
 def how_to_use(model: Path, config: Path | None, pad: str | None, *, is_better: bool) -> str:

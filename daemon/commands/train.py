@@ -31,7 +31,6 @@ def parser() -> argparse.ArgumentParser:
         action="store_true",
         help="keep the gestures that the folder lacks, as the shipped model knows them",
     )
-    parser.add_argument("--seed", type=int, default=0, help="random seed (%(default)s)")
     return parser
 
 
@@ -55,8 +54,7 @@ def main(arguments: Sequence[str]) -> int:
         from touchd.model.adapt.report import report_lines
         from touchd.model.adapt.ship import adapt_folder
 
-    settings = AdaptSettings(seed=options.seed)
-    adapted = adapt_folder(options.extra, output, settings, options.keep_all, labels)
+    adapted = adapt_folder(options.extra, output, AdaptSettings(), options.keep_all, labels)
     for line in report_lines(adapted):
         sys.stdout.write(f"{line}\n")
     gestures = ", ".join(label for label in adapted.labels if label not in (NO_TOUCH, OTHER))

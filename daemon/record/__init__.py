@@ -1,1 +1,1 @@
-"""Recordings of your own: a guided session, and labels for kept touches (`touchd record`)."""
+"""Guided sessions of recordings (`touchd record`, `touchd teach`), and recordings as MCAP."""

@@ -213,7 +213,7 @@ def test_commands_say_which_configuration_they_found(
 ) -> None:
     homes["user"].write_text("sensor: {port: spy://}")
     assert cli.main(["doctor", "--seconds", "1"]) == 1
-    assert cli.main(["record", "lab", "--licence=none", "--participant=a", "--pad=x"]) == 2
+    assert cli.main(["record", "lab", "--participant=a", "--pad=x"]) == 2
     said = capsys.readouterr()
     assert said.err.count(f"settings: {homes['user']}\n") == 2
     assert "spy" in said.out

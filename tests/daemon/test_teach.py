@@ -73,10 +73,10 @@ def test_touches_that_are_no_gesture_are_recorded_if_asked_for(
 ) -> None:
     options = teach.parser().parse_args([str(tmp_path), "--participant", "anna", "--rounds", "1", *asked])
     (made,) = simulate((("pat", 1.5),), seed=1)
-    for take in Session(tmp_path, Setting("anna"), GESTURES, 1, teach.SINGLES).takes():
+    for take in Session(tmp_path, Setting("anna"), GESTURES, 1, 6.0, teach.SINGLES).takes():
         write_recordings(take.path, [made], {})
     asked_for: list[str] = []
-    monkeypatch.setattr(teach, "PadReader", lambda settings: nullcontext())
+    monkeypatch.setattr(teach, "PadReader", lambda *_: nullcontext())
     monkeypatch.setattr(
         Dialogue, "run", lambda self: asked_for.extend(take.gesture for take in self._session.missing())
     )
@@ -100,7 +100,7 @@ def test_one_command_leads_from_pad_to_model(tmp_path: Path, monkeypatch: pytest
     stream = Stream(np.zeros((5400, 8, 8), np.uint16), ideal_clock_ms(5400), ())
     with FakePort(stream, hand, speed=6.0, loop=True) as port:
         (config := tmp_path / "touchd.yaml").write_text(f"sensor: {{port: {port.path}}}\n")
-        options = ["-c", str(config), "--participant", "anna", "--rounds", "2", "--seconds", "1.5"]
+        options = ["-c", str(config), "--participant", "anna", "--rounds", "1"]
         with Terminal("teach", str(config.with_name("lab")), *options) as terminal:
             answers = {"Enter to begin": "", "Enter to do it again, k": "k", "Enter to keep it": ""}
             while (shown := terminal.until_one(*answers, ", set in")) in answers:
