@@ -21,6 +21,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from touchd.daemon.app.config import LiveSettings, Settings
+from touchd.daemon.live import touch
 from touchd.daemon.live.address import listen
 from touchd.daemon.live.memory import Scene
 from touchd.daemon.live.touch import Touching, TouchPage
@@ -138,7 +139,7 @@ def fake_pad(chrome: Chrome) -> Iterator[FakePad]:
             pad = FakePad(chrome, frames)
             # Nobody has touched it yet: the page invites a touch, and a simulated hand presses.
             wait_for(lambda: chrome.find_element(By.ID, "invitation").text == "Touch here")
-            wait_for(lambda: next_frames(frames, 1)[0].pressure.max() > 50)
+            wait_for(lambda: any(frame.pressure.max() > 15 for frame in next_frames(frames, 54)))
             pad.mouse("mousePressed", 0.5, 0.5)
             pad.mouse("mouseReleased", 0.5, 0.5)
             yield pad
@@ -158,8 +159,8 @@ def test_a_pointer_reaches_the_fake_pads_port(fake_pad: FakePad) -> None:
         rise = np.maximum(fake_pad.pressed() - rest - 3, 1e-9)
         return [float(np.average(np.arange(8), weights=rise.sum(axis=axis))) for axis in (1, 0)]
 
-    # Row and column of four fingertips; one presses more than another.
-    wait_for(lambda: np.abs(np.subtract(place(), (6.0, 2.0))).max() < 1.0)
+    # Row and column of four fingertips, abreast; an outer one may press most.
+    wait_for(lambda: (np.abs(np.subtract(place(), (6.0, 2.0))) < (1.0, 1.8)).all())
     fake_pad.mouse("mouseReleased", 0.31, 0.81)
     wait_for(lambda: fake_pad.pressed().max() < 15)
 
@@ -187,17 +188,16 @@ def test_fingers_press_where_each_touches(fake_pad: FakePad) -> None:
 
 
 def test_the_pressure_of_pens_and_fingers_counts(fake_pad: FakePad) -> None:
-    pen: list[float] = []
-    finger: list[float] = []
+    pressed = []
     for force in (0.15, 0.9):
-        fake_pad.mouse("mousePressed", 0.31, 0.31, pointerType="pen", force=force)
-        pen.append(float(fake_pad.pressed().max()))
-        fake_pad.mouse("mouseReleased", 0.31, 0.31, pointerType="pen", force=0)
+        fake_pad.mouse("mousePressed", 0.19, 0.31, pointerType="pen", force=force)
         fake_pad.fingers("touchStart", (0.81, 0.31), force=force)
-        finger.append(float(fake_pad.pressed().max()))
+        pressed.append(fake_pad.pressed())
         fake_pad.fingers("touchEnd")
-    assert pen[1] > 2 * pen[0]
-    assert finger[1] > 2 * finger[0]
+        fake_pad.mouse("mouseReleased", 0.19, 0.31, pointerType="pen", force=0)
+    light, firm = pressed
+    for half in (np.s_[:, :4], np.s_[:, 4:]):
+        assert firm[half].max() > 2 * light[half].max()
 
 
 @pytest.mark.slow
@@ -256,7 +256,8 @@ def test_a_viewer_that_sends_something_else_is_disconnected(message: str, why: s
         page.stop()
 
 
-def test_a_viewer_who_leaves_or_hangs_stops_pressing() -> None:
+def test_a_viewer_who_leaves_or_hangs_stops_pressing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(touch, "LIFTED_AFTER_S", 0.2)
     touching = Touching()
     assert touching.take("viewer", TOUCH) == ""
     assert [viewer for viewer, _ in touching.pointers()] == ["viewer"]
@@ -277,7 +278,7 @@ def test_the_simulated_hand_waits_while_somebody_touches(monkeypatch: pytest.Mon
             touching.take("viewer", TOUCH)
         pad.scan(0)
     assert begun == ["rub"]
-    wait_for(lambda: pad.scan(0) is not None and begun == ["rub", "rub"])
+    wait_for(lambda: any(begun == ["rub", "rub"] for _ in range(54) if pad.scan(0) is not None))
 
 
 def test_the_simulated_hand_leaves_as_a_mouse_comes_near(fake_pad: FakePad) -> None:

@@ -51,7 +51,7 @@ export class Labels {
     this.#fieldset.hidden = !this.areTaken || store.touch === undefined;
     this.#fieldset.firstElementChild.textContent = this.#chosen ? `Touch ${this.#chosen.touch} was` : "That was";
     const said = store.said.get((this.#chosen ?? store.touch?.began)?.touch);
-    for (const [gesture, button] of this.#buttons) button.ariaPressed = String(gesture === said);
+    for (const [gesture, button] of this.#buttons) button.setAttribute("aria-pressed", gesture === said);
   }
 
   advise(text) {

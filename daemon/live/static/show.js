@@ -164,7 +164,8 @@ function row({ began, predictions, ended }, { scene, said }, labels) {
   let name = ended.gesture === predictions.at(-1)?.gesture ? wordsOf(predictions.at(-1)) : nameOf(ended.gesture);
   if (labels.areTaken) {
     name = make("button", "", name);
-    Object.assign(name, { type: "button", value: began.touch, ariaPressed: String(labels.isChosen(began)) });
+    Object.assign(name, { type: "button", value: began.touch });
+    name.setAttribute("aria-pressed", labels.isChosen(began));
   }
   return make(
     "li",

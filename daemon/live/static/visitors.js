@@ -46,9 +46,9 @@ export class Visitors {
 
   #show(isShown) {
     document.body.toggleAttribute("data-visitors", isShown);
-    this.#button.ariaPressed = String(isShown);
+    this.#button.setAttribute("aria-pressed", isShown);
     this.#button.textContent = isShown ? "✕" : "Visitors";
-    this.#button.ariaLabel = isShown ? "Leave the visitors' view" : null;
+    this.#button.setAttribute("aria-label", isShown ? "Leave the visitors' view" : "Visitors");
     history.replaceState(null, "", isShown ? HASH : location.pathname);
     this.#onChange();
   }
