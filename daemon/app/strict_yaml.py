@@ -164,17 +164,18 @@ def explain(error: str, struct: type[msgspec.Struct], raw: object) -> str:
         return _unknown(match[1], path, struct)
     setting = _without_items(path)
     name = setting.rpartition(".")[2]
+    choices = ", ".join(
+        str(each) for at, kind in _settings(struct) if at == setting for each in _choices(kind)
+    )
     if match := WRONG_KIND.fullmatch(problem):
-        problem = _wrong_kind(match[1], match[2], EXAMPLES.get(name))
+        wanted = f"one of {choices}" if choices and match[1] in ("str", "int") else match[1]
+        problem = _wrong_kind(wanted, match[2], EXAMPLES.get(name))
     elif WRONG_FORM.fullmatch(problem):
         problem = f"another form expected, as in {FORMS[name]}"
     elif match := OUT_OF_RANGE.fullmatch(problem):
         problem = _out_of_range(match[1], match[2], name, _value_at(raw, path))
     elif match := WRONG_CHOICE.fullmatch(problem):
-        choices = (kind for name, kind in _settings(struct) if name == setting)
-        problem = (
-            f"{match[1]} is not one of {', '.join(str(each) for kind in choices for each in _choices(kind))}"
-        )
+        problem = f"{match[1]} is not one of {choices}"
     else:
         found = ((pattern.fullmatch(problem), words) for pattern, words in PROBLEMS)
         problem = next((words.format(*match.groups()) for match, words in found if match), problem)

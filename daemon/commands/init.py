@@ -30,7 +30,7 @@ from touchd.daemon.doctor.hand import (
     turned_with_a_hand,
 )
 from touchd.daemon.doctor.machine import certificate_at, check_robot, find_robot, robot_urls
-from touchd.daemon.doctor.port import LastingName, advice_for, lasting_name, why_no_port
+from touchd.daemon.doctor.port import advice_for, lasting_name, why_no_port
 from touchd.drivers.errors import os_errors_as, within
 from touchd.drivers.installed import program_name
 from touchd.drivers.pad.format import PRESETS, PadFormat
@@ -89,7 +89,7 @@ def main(arguments: Sequence[str]) -> int:
     # Without a pad, assume a fabric pad's rate, which is not the first of the usual rates.
     unseen = Found(options.port or DEFAULT_PORT, options.baud or SensorSettings().baud, None)
     port, baud, described = found or unseen
-    named = LastingName(port, "as given") if found is None else lasting_name(port)
+    named = lasting_name(port)
     robot = _find_robot(console, _ask_robot(console) if options.robot is None else options.robot)
     certificate = certificate_at(robot) if robot and robot.startswith("tcps://") else None
     _write(options.file, named.port, baud, described or PRESETS[FABRIC], robot, certificate)

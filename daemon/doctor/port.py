@@ -15,6 +15,8 @@ BY_ID, BY_PATH = Path("/dev/serial/by-id"), Path("/dev/serial/by-path")
 TTY, USB = Path("/sys/class/tty"), Path("/sys/bus/usb/devices")
 # Adapters from USB to serial, as in the udev rule: CH340, CP210x, FTDI, PL2303.
 ADAPTERS = re.compile(r"1a86:(5523|752[23]|55d.)|10c4:ea(60|70|71)|0403:60(01|1[0145])|067b:2...")
+# The kernel shows this group in place of one that a container's user namespace lacks.
+OVERFLOW_GID = Path("/proc/sys/kernel/overflowgid")
 SERIAL_GROUPS = ("dialout", "uucp", "plugdev")
 MOST_PROGRAMS = 3
 
@@ -50,6 +52,8 @@ def lasting_name(port: str, by_id: Path = BY_ID, by_path: Path = BY_PATH, tty: P
         return LastingName(name, "it stays with this board, by its serial number")
     if name := _link_to(device, by_path):
         return LastingName(name, f"it stays with this socket; {why or 'it has no name by its number'}")
+    if name := _link_to(device, by_id):
+        return LastingName(name, f"it stays with this kind of board; {why}")
     return LastingName(port, "the only name that it has")
 
 
@@ -109,6 +113,11 @@ def advice_for(port: str, error: SensorError) -> str:
         return f"end the other program ({programs_at(port) or f'fuser {port} shows which'})"
     if error.kind == "denied":
         return group_of_the_next_login() or _how_to_get_permission(port, error.number)
+    if error.number in (errno.ENXIO, errno.ENODEV):
+        return (
+            "it was unplugged: plug it in; a container sees it again if it has the host's /dev "
+            "(-v /dev:/dev) and sensor.port is its name in /dev/serial/by-id"
+        )
     advice = "plug the pad in, or name its port in sensor.port or with --port"
     if not other_ports(port):
         advice += "; this machine has no other USB serial port"
@@ -134,11 +143,22 @@ def _how_to_get_permission(port: str, number: int | None) -> str:
         )
     if number == errno.EPERM:
         return f"in a container? start it with the device, as in docker run --device {port}"
+    if _is_of_no_group_here(port):
+        return (
+            "in a rootless container? start it with --group-add keep-groups, as a user of the device's group"
+        )
     group = _group_of(port)
     return (
         f"add the user to the group {group} (sudo usermod -aG {group} $USER, then log out and in again) or "
         "install the udev rule systemd/99-touchd.rules"
     )
+
+
+def _is_of_no_group_here(port: str) -> bool:
+    """Whether a device's group does not exist in this user namespace; usermod cannot help then."""
+    with suppress(OSError):
+        return os.stat(port).st_gid == int(OVERFLOW_GID.read_text())
+    return False
 
 
 def _group_of(port: str) -> str:

@@ -22,8 +22,8 @@ DEV = Path("/dev")
 # What an error number means for a port: the kind of fault, and words that follow the port's name.
 FAULTS = {
     errno.ENOENT: ("missing", "is not there"),
-    errno.ENODEV: ("missing", "is not there"),
-    errno.ENXIO: ("missing", "is not there"),
+    errno.ENODEV: ("missing", "has no device any more"),
+    errno.ENXIO: ("missing", "has no device any more"),
     errno.EIO: ("missing", "went away: unplugged or switched off?"),
     errno.ECONNRESET: ("missing", "closed the connection"),
     errno.ECONNREFUSED: ("missing", "refuses the connection"),

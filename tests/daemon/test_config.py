@@ -165,6 +165,11 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
         ),
         ("mqtt: broker.local", "not text; as in mqtt: {host: broker.local}"),
         ("scene: {gestures: [3]}", "scene.gestures[0]: text (in quotes) expected, not a whole number"),
+        (
+            "touch: {sensitivity: 2}",
+            "touch.sensitivity: one of low, normal, high expected, not a whole number",
+        ),
+        ("sensor: {turn: x}", "sensor.turn: one of 0, 90, 180, 270 expected, not text"),
         ("scene: {answer_at_frames: [81, 54, 144]}", "must rise from early to final"),
         ("robot: {}", "robot: url is missing"),
         ("scene: {actions: [{do: [{sai: a}]}]}", "scene.actions[0].do[0].sai: unknown setting; did you mean"),

@@ -69,6 +69,12 @@ def test_boards_that_look_the_same_are_named_by_their_socket(machine: Machine, s
     assert all(name.why.startswith("it stays with this socket; ") for name in names)
 
 
+def test_a_board_without_a_number_or_socket_has_its_name_by_id(machine: Machine) -> None:
+    device = machine.plug("ttyUSB0", "1-1", "", "1a86 7523")
+    (machine.root / "dev/by-path/pci-usb-1-1-0").unlink()
+    assert Path(machine.name(device).port).name == "usb-1a86_7523_-if00"
+
+
 def test_a_board_with_the_udev_rules_name_is_named_by_its_number(machine: Machine) -> None:
     link = machine.root / "dev/touchd-pad"
     link.symlink_to(machine.plug("ttyACM0", "1-1", "A17"))
@@ -134,6 +140,12 @@ def test_without_a_view_of_other_programs_fuser_is_advised(monkeypatch: pytest.M
             errno.ECONNREFUSED,
             "is the pad's board switched on, in this network, and no other program connected to it?",
         ),
+        (
+            "/dev/ttyACM9",
+            "missing",
+            errno.ENXIO,
+            "a container sees it again if it has the host's /dev (-v /dev",
+        ),
         ("/dev/ttyACM9", "denied", errno.EPERM, "docker run --device /dev/ttyACM9"),
         (
             "/dev/ttyACM9",
@@ -157,6 +169,17 @@ def test_a_unit_that_forbids_the_device_is_named(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(doctor_port, "group_of_the_next_login", str)
     advice = advice_for("/dev/ttyACM9", SensorError("denied", "", errno.EPERM))
     assert "sudo systemctl edit touchd, add DeviceAllow=/dev/ttyACM9 rw under [Service]" in advice
+
+
+def test_a_group_that_a_container_lacks_is_not_advised(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "overflowgid").write_text(f"{tmp_path.stat().st_gid}\n")
+    monkeypatch.setattr(doctor_port, "OVERFLOW_GID", tmp_path / "overflowgid")
+    monkeypatch.setattr(doctor_port, "group_of_the_next_login", str)
+    advice = advice_for(str(tmp_path), SensorError("denied", "", errno.EACCES))
+    assert "start it with --group-add keep-groups" in advice
+    assert "usermod" not in advice
 
 
 def test_the_group_of_the_device_is_advised(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

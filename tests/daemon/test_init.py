@@ -71,13 +71,14 @@ def test_the_pads_port_and_baud_rate_are_found(monkeypatch: pytest.MonkeyPatch) 
         write()
 
 
-def test_a_port_that_was_found_is_written_by_a_name_that_lasts(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+@pytest.mark.parametrize("found", [init.Found("/dev/ttyACM0", 115_200, PRESETS["fabric-grid"]), None])
+def test_a_port_is_written_by_a_name_that_lasts(
+    found: init.Found | None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     lasting = tmp_path / "by-id"
-    monkeypatch.setattr(init, "_find", lambda *_: init.Found("/dev/ttyACM0", 115_200, PRESETS["fabric-grid"]))
+    monkeypatch.setattr(init, "_find", lambda *_: found)
     monkeypatch.setattr(init, "lasting_name", lambda port: LastingName(str(lasting), "it stays"))
-    assert write() == 0
+    assert write("--port", "/dev/ttyACM0") == (found is None)
     assert load(FILE).sensor.port == str(lasting)
 
 

@@ -70,7 +70,7 @@ def test_the_ports_that_are_there_are_named_beside_one_that_is_not(
 @pytest.mark.parametrize(
     ("number", "kind", "reason"),
     [
-        (errno.ENXIO, "missing", "/dev/ttyACM0 is not there"),
+        (errno.ENXIO, "missing", "/dev/ttyACM0 has no device any more"),
         (errno.EIO, "missing", "went away: unplugged or switched off?"),
         (errno.EPERM, "denied", "may not be opened by this user"),
         (errno.EBUSY, "busy", "is open in another program"),
