@@ -18,7 +18,6 @@ from touchd.drivers.errors import PathError
 from touchd.drivers.frame import COLUMNS, ROWS
 from touchd.drivers.installed import program_name
 from touchd.drivers.robot.link import client_of
-from touchd.drivers.robot.login import encrypted, fingerprint
 from touchd.drivers.robot.session import PORTS as ROBOT_PORTS
 from touchd.drivers.robot.session import (
     RobotError,
@@ -29,6 +28,7 @@ from touchd.drivers.robot.session import (
     address_of,
     without_password,
 )
+from touchd.drivers.robot.wire import encrypted
 from touchd.model.classifier import ModelError
 
 UNIT = "touchd"
@@ -106,12 +106,10 @@ def certificate_at(url: str) -> str | None:
     def give_up() -> None:
         raise TimeoutError
 
-    with (
-        suppress(OSError, RobotLost),
-        hosts.connect(host, port, REACH_S) as plain,
-        encrypted(plain, None, give_up) as tls,
-    ):
-        return fingerprint(tls)
+    with suppress(OSError), hosts.connect(host, port, REACH_S) as plain:
+        tls, shown = encrypted(plain, give_up)
+        tls.close()
+        return shown
     return None
 
 

@@ -14,6 +14,7 @@ MEASURES = tuple(field.name for field in msgspec.structs.fields(Feel) if field.r
 # Excludes NaN, which no measure is above or below.
 Finite: TypeAlias = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
 
+# As ALLeds takes them.
 COLORS = {
     "white": 0xFFFFFF,
     "red": 0xFF0000,
@@ -65,11 +66,6 @@ class Action(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
                     f"{template!r} may hold {{gesture}}, {{name}}, {{phrase}} and {{confidence}}, nothing "
                     "else in braces; write {{ for a brace"
                 )
-
-
-def rgb_of(color: str) -> int:
-    """Return a colour as 0xRRGGBB, as ALLeds takes it."""
-    return COLORS[color] if color in COLORS else int(color[1:], 16)
 
 
 class ActionRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -1,4 +1,4 @@
-"""Chooses the rules that an answer triggers, and asks the robot for their actions."""
+"""Chooses the rules that an answer triggers, and says what the robot does for their actions."""
 
 import math
 import time
@@ -10,7 +10,7 @@ import msgspec
 
 from touchd.daemon.app.config import Words
 from touchd.daemon.path.events import MAX_REASON_BYTES, UNCERTAIN, Event, Prediction, RobotAction, timestamp
-from touchd.daemon.robot.actions import Action, ActionRule, rgb_of
+from touchd.daemon.robot.actions import COLORS, Action, ActionRule
 from touchd.daemon.robot.words import Vocabulary
 from touchd.drivers.errors import one_line
 from touchd.drivers.frame import OTHER
@@ -29,45 +29,20 @@ METHODS: Mapping[str, tuple[str, str]] = {
 }
 
 
-class Reactions:
-    """Passes on the actions that the answers of all pads trigger.
+def act_of(action: Action, answer: Prediction, words: Vocabulary, emit: Callable[[Event], None]) -> Act:
+    """Return what the robot carries out. emit: receives an event as it begins, from the robot's thread."""
+    ((kind, what),) = action.given.items()
+    if kind in ("say", "animated_say"):
+        what = spoken(what, answer.gesture, answer.confidence, words)
+    arguments: tuple[object, ...] = (what,)
+    if kind == "leds":
+        arguments = (FACE, COLORS[what] if what in COLORS else int(what[1:], 16), FADE_S)
 
-    rules: of each pad. words: of the gestures, for speech. act: has the robot carry out acts in order.
-    emit: receives an event as an action begins, from the robot's thread.
-    """
+    def begins() -> None:
+        now, shown = timestamp(time.time()), one_line(what, MAX_REASON_BYTES)
+        emit(RobotAction(touch=answer.touch, action=kind, what=shown, time=now, pad=answer.pad))
 
-    def __init__(
-        self,
-        rules: Mapping[str, Sequence[ActionRule]],
-        words: Vocabulary,
-        act: Callable[[Sequence[Act]], None],
-        emit: Callable[[Event], None],
-    ) -> None:
-        self._choices = {pad: Choice(of_pad) for pad, of_pad in rules.items()}
-        self._words = words
-        self._act = act
-        self._emit = emit
-
-    def on_answer(self, answer: Prediction) -> None:
-        """Ask the robot for what an answer triggers, if anything; returns at once."""
-        actions = self._choices[answer.pad].actions(answer, time.monotonic())
-        if actions:
-            self._act([self._act_of(action, answer) for action in actions])
-
-    def _act_of(self, action: Action, answer: Prediction) -> Act:
-        ((kind, what),) = action.given.items()
-        arguments: tuple[object, ...] = (what,)
-        if kind == "leds":
-            arguments = (FACE, rgb_of(what), FADE_S)
-        elif kind != "behavior":
-            what = spoken(what, answer.gesture, answer.confidence, self._words)
-            arguments = (what,)
-
-        def begins() -> None:
-            now, shown = timestamp(time.time()), one_line(what, MAX_REASON_BYTES)
-            self._emit(RobotAction(touch=answer.touch, action=kind, what=shown, time=now, pad=answer.pad))
-
-        return Act(*METHODS[kind], arguments, begins)
+    return Act(*METHODS[kind], arguments, begins)
 
 
 @dataclass

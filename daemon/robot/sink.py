@@ -2,7 +2,7 @@
 
 import itertools
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 
 from touchd.daemon.app.config import Settings
 from touchd.daemon.path.events import (
@@ -14,23 +14,32 @@ from touchd.daemon.path.events import (
     epoch_s,
     timestamp,
 )
-from touchd.daemon.robot.reactions import Reactions
-from touchd.daemon.robot.words import words_of
+from touchd.daemon.robot.actions import ActionRule
+from touchd.daemon.robot.reactions import Choice, act_of
+from touchd.daemon.robot.words import Vocabulary, words_of
 from touchd.drivers.errors import one_line
-from touchd.drivers.robot.link import RobotLink, Told
+from touchd.drivers.robot.link import RobotLink
 from touchd.drivers.robot.session import OpenSession
 from touchd.drivers.robot.worker import LinkState
 
 
 class RobotSink:
-    """Sends told answers and the pads' states to the robot. The link has its own queues and threads.
+    """Sends told answers and the pads' states to the robot, and has it act. The link has its own threads.
 
-    react: receives every answer, told or not.
+    rules: of each pad, which choose the actions for every answer, told or not. words: for speech. emit:
+    receives an event as an action begins, from the robot's thread.
     """
 
-    def __init__(self, link: RobotLink, react: Callable[[Prediction], None] = lambda _: None) -> None:
+    def __init__(
+        self,
+        link: RobotLink,
+        rules: Mapping[str, Sequence[ActionRule]] | None = None,
+        words: Vocabulary | None = None,
+        emit: Callable[[Event], None] = lambda _: None,
+    ) -> None:
         self._link = link
-        self._react = react
+        self._choices = {pad: Choice(of_pad) for pad, of_pad in (rules or {}).items() if of_pad}
+        self._words, self._emit = words or {}, emit
         self._numbers = itertools.count(1)
 
     def start(self) -> None:
@@ -40,8 +49,10 @@ class RobotSink:
         """Send a told prediction to the robot, react to any; returns at once. Call it from one thread."""
         if isinstance(event, Prediction):
             if event.told:
-                self._link.put(told_of(event, next(self._numbers)))
-            self._react(event)
+                self._link.put(event.pad, detail_of(event, next(self._numbers)))
+            choice = self._choices.get(event.pad)
+            if choice is not None and (actions := choice.actions(event, time.monotonic())):
+                self._link.act([act_of(action, event, self._words, self._emit) for action in actions])
         elif isinstance(event, SensorEvent):
             self._link.set_status(event.state, event.pad)
 
@@ -49,21 +60,15 @@ class RobotSink:
         self._link.stop(timeout_s)
 
 
-def told_of(answer: Prediction, number: int) -> Told:
-    """Return an answer with [gesture, confidence, [seconds, microseconds], stage, touch, number].
+def detail_of(answer: Prediction, number: int) -> list[object]:
+    """Return an answer as [gesture, confidence, [seconds, microseconds], stage, touch, number].
 
     ALMemory holds 4-byte integers and floats. As a float an epoch time would have a resolution of 128 s, so
     it is sent as two integers. Integers wrap at 2**31.
     """
     seconds, microseconds = divmod(round(1_000_000 * epoch_s(answer.time)), 1_000_000)
-    sent = [_int32(seconds), microseconds]
-    numbers = [_int32(answer.touch), _int32(number)]
-    detail = [answer.gesture, answer.confidence, sent, answer.stage, *numbers]
-    return Told(answer.pad, answer.gesture, detail)
-
-
-def _int32(number: int) -> int:
-    return number & 0x7FFF_FFFF
+    seconds, touch, number = (each & 0x7FFF_FFFF for each in (seconds, answer.touch, number))
+    return [answer.gesture, answer.confidence, [seconds, microseconds], answer.stage, touch, number]
 
 
 def link_to_robot(
@@ -85,6 +90,4 @@ def link_to_robot(
     for name in settings.pads:
         # Report "down" until frames come: a program that waits for "up" must not find a missing pad up.
         link.set_status("down", name)
-    if not any(rules.values()):
-        return RobotSink(link)
-    return RobotSink(link, Reactions(rules, words_of(settings), link.act, emit).on_answer)
+    return RobotSink(link, rules, words_of(settings), emit)

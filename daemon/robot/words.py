@@ -36,17 +36,10 @@ SHIPPED: Mapping[Language, Mapping[str, tuple[str, str]]] = {
 }
 
 
-def vocabulary(language: Language, own: Vocabulary) -> Vocabulary:
-    """Return the words of a language; a deployment's own replace the shipped ones."""
-    shipped = {
-        gesture: Words(name=name, phrase=phrase) for gesture, (name, phrase) in SHIPPED[language].items()
-    }
-    return {**shipped, **own}
-
-
 def words_of(settings: Settings) -> Vocabulary:
-    """Return the words that are configured."""
-    return vocabulary(settings.language, settings.words)
+    """Return the words of the configured language; a deployment's own replace the shipped ones."""
+    shipped = SHIPPED[settings.language].items()
+    return {gesture: Words(name=name, phrase=phrase) for gesture, (name, phrase) in shipped} | settings.words
 
 
 def name_of(words: Vocabulary, gesture: str) -> str:

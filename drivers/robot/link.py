@@ -5,6 +5,7 @@ The daemon never waits for the robot, whether it is away, hangs or refuses.
 
 import itertools
 import logging
+import math
 import re
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -33,16 +34,7 @@ SHOWN_S = 1.0
 LIMITS = RobotLimits()
 
 
-class Told(NamedTuple):
-    """An answer to raise. detail: builtin types, integers of four bytes at most."""
-
-    pad: str
-    gesture: str
-    detail: list[object]
-
-
-@dataclass(frozen=True)
-class Act:
+class Act(NamedTuple):
     """A call that the robot carries out to its end. on_begin: called from the worker's thread before it."""
 
     service: str
@@ -51,7 +43,21 @@ class Act:
     on_begin: Callable[[], None] = lambda: None
 
 
-class RobotLink(Worker[Told]):
+@dataclass
+class _Pad:
+    """What the robot's memory has of a pad. prefix: of its events. status: to be there; sent: last written.
+
+    foreign: what another program last wrote as its status.
+    """
+
+    prefix: str
+    status: str = "up"
+    sent: str = ""
+    foreign: object = "down"
+    remove_at_s: float = math.inf
+
+
+class RobotLink(Worker):
     """Sends answers to a robot and has it act.
 
     Raises PREFIX/Detail, then PREFIX/Gesture for each answer that is put, so that a program that wakes on the
@@ -74,40 +80,42 @@ class RobotLink(Worker[Told]):
     ) -> None:
         opened = partial(open_session or client_of(settings), settings, limits)
         super().__init__("touchd-robot", opened, limits)
-        self._url, self._prefix, self._on_state = settings.url, settings.prefix, on_state
+        self._url, self._on_state = settings.url, on_state
         self._state: LinkState | None = None
-        self._remove_at_s: dict[str, float] = {}
-        self._sent_status: dict[str, str] = {}
-        # Written by another thread, read here; replacing a value is atomic.
-        self._status: dict[str, str] = dict.fromkeys(pads, "up")
-        self._asked = itertools.cycle(self._status)
-        # What another program last wrote instead of a pad's status.
-        self._foreign: dict[str, object] = {}
-        self._acts = ActWorker("touchd-robot-actions", opened, limits) if acts else None
+        prefix = settings.prefix
+        self._pads = {pad: _Pad(prefix if pad == DEFAULT_PAD else f"{prefix}/{pad}") for pad in pads}
+        self._asked = itertools.cycle(self._pads.values())
+        # A session of its own: speech takes seconds and must not delay an event.
+        self._acts = Worker("touchd-robot-actions", opened, limits)
+        self._workers = [self, self._acts] if acts else [self]
 
     def start(self) -> None:
         """Begin to connect; returns at once, and the link keeps trying until it is stopped."""
-        super().start()
-        if self._acts is not None:
-            self._acts.start()
+        for worker in self._workers:
+            Worker.start(worker)
+
+    def put(self, name: str, detail: Sequence[object]) -> None:
+        """Raise an answer on a pad, its gesture first. Never waits; call it from one thread.
+
+        detail: builtin types, integers of four bytes at most.
+        """
+        self.do(partial(self._raise_answer, self._pads[name], detail))
 
     def act(self, acts: Sequence[Act]) -> None:
         """Have the robot carry acts out in order. Never waits; call it from one thread."""
-        assert self._acts is not None, "the link was made without acts"
-        self._acts.put(acts)
+        self._acts.do(partial(_carry_out, acts, self._limits.action_s))
 
     def set_status(self, status: str, pad: str = DEFAULT_PAD) -> None:
         """Send the robot a pad's state: "up", "degraded" or "down". Never waits; call it from any thread."""
-        self._status[pad] = status
+        self._pads[pad].status = status
         self._wake.set()
 
     def stop(self, timeout_s: float = 2.0) -> None:
         """Disconnect; idempotent."""
         deadline_s = time.monotonic() + timeout_s
-        workers: list[RobotLink | ActWorker] = [self, *([self._acts] if self._acts else [])]
-        for worker in workers:
+        for worker in self._workers:
             worker.ask_to_stop()
-        for worker in workers:
+        for worker in self._workers:
             if not worker.join(max(0.0, deadline_s - time.monotonic())):
                 log.warning("the link to the robot did not end within %g s", timeout_s)
 
@@ -126,93 +134,78 @@ class RobotLink(Worker[Told]):
             self._on_state(state, reason)
 
     def begin(self, session: RobotSession) -> None:
-        for pad, status in self._status.items():
-            self._send_status(session, pad, status)
-
-    def handle(self, session: RobotSession, item: Told) -> None:
-        self._raise_event(session, item.pad, "Detail", item.detail)
-        self._raise_event(session, item.pad, "Gesture", item.gesture)
-        self._remove_at_s[item.pad] = time.monotonic() + SHOWN_S
+        for pad in self._pads.values():
+            self._send_status(session, pad, pad.status)
 
     def tend(self, session: RobotSession) -> bool:
         """Remove a gesture when its time is over, send a status that has changed."""
-        for pad, remove_at_s in self._remove_at_s.items():
-            if time.monotonic() >= remove_at_s:
-                self._remove(session, pad)
+        for pad in self._pads.values():
+            if time.monotonic() >= pad.remove_at_s:
+                self._remove_gesture(session, pad)
                 return True
-        for pad, status in self._status.items():
-            if status != self._sent_status.get(pad):
-                self._send_status(session, pad, status)
+            if pad.status != pad.sent:
+                self._send_status(session, pad, pad.status)
                 return True
         return False
 
     def ask(self, session: RobotSession) -> None:
         """Check whether a pad's status is as it was written; another touchd's "down" is replaced."""
         pad = next(self._asked)
-        name, ours = self._name(pad, "Status"), self._sent_status[pad]
-        found = session.call("ALMemory", "getData", name, limit_s=self._limits.call_s)
-        if found != ours:
-            self._foreign[pad] = found
-            self._faults.begin("shared", f"another touchd writes {name}; give one of them robot.prefix")
+        found = self._memory(session, "getData", f"{pad.prefix}/Status")
+        if found != pad.sent:
+            pad.foreign = found
+            what = f"another touchd writes {pad.prefix}/Status; give one of them robot.prefix"
+            self._faults.begin("shared", what)
             if found == "down":
-                self._send_status(session, pad, ours)
+                self._send_status(session, pad, pad.sent)
 
     def end(self, session: RobotSession) -> None:
         """Remove gestures, and set the status of every pad to down, unless another touchd has it up."""
-        for pad in list(self._remove_at_s):
-            self._remove(session, pad)
-        for pad in self._status:
-            if self._foreign.get(pad, "down") == "down":
+        for pad in self._pads.values():
+            if pad.remove_at_s < math.inf:
+                self._remove_gesture(session, pad)
+            if pad.foreign == "down":
                 self._send_status(session, pad, "down")
 
-    def _name(self, pad: str, event: str) -> str:
-        return f"{self._prefix}/{event}" if pad == DEFAULT_PAD else f"{self._prefix}/{pad}/{event}"
+    def _raise_answer(self, pad: _Pad, detail: Sequence[object], session: RobotSession) -> None:
+        self._memory(session, "raiseEvent", f"{pad.prefix}/Detail", detail)
+        self._memory(session, "raiseEvent", f"{pad.prefix}/Gesture", detail[0])
+        pad.remove_at_s = time.monotonic() + SHOWN_S
 
-    def _send_status(self, session: RobotSession, pad: str, status: str) -> None:
-        self._raise_event(session, pad, "Status", status)
-        self._sent_status[pad] = status
+    def _send_status(self, session: RobotSession, pad: _Pad, status: str) -> None:
+        self._memory(session, "raiseEvent", f"{pad.prefix}/Status", status)
+        pad.sent = status
 
-    def _remove(self, session: RobotSession, pad: str) -> None:
+    def _remove_gesture(self, session: RobotSession, pad: _Pad) -> None:
         # Another program may have removed it, and a robot that has restarted has forgotten it.
         with suppress(RobotRefused):
-            gesture = self._name(pad, "Gesture")
-            session.call("ALMemory", "removeData", gesture, limit_s=self._limits.call_s)
-        del self._remove_at_s[pad]
+            self._memory(session, "removeData", f"{pad.prefix}/Gesture")
+        pad.remove_at_s = math.inf
 
-    def _raise_event(self, session: RobotSession, pad: str, event: str, value: object) -> None:
-        name = self._name(pad, event)
-        session.call("ALMemory", "raiseEvent", name, value, limit_s=self._limits.call_s)
+    def _memory(self, session: RobotSession, method: str, *arguments: object) -> object:
+        return session.call("ALMemory", method, *arguments, limit_s=self._limits.call_s)
 
 
-class ActWorker(Worker[Sequence[Act]]):
-    """Carries acts out, one after the other, each to its end.
-
-    It has a session of its own: speech takes seconds and must not delay an event.
-    """
-
-    def handle(self, session: RobotSession, item: Sequence[Act]) -> None:
-        """Carry acts out; refused ones are skipped, and raised as RobotRefused at the end."""
-        refused: list[str] = []
-        for act in item:
-            act.on_begin()
-            try:
-                session.call(act.service, act.method, *act.arguments, limit_s=self._limits.action_s)
-            except RobotRefused as error:
-                refused.append(str(error))
-            except RobotLost as lost:
-                log.warning("an action is given up, with those after it: %s", lost)
-                raise
-        if refused:
-            raise RobotRefused("; ".join(refused))
+def _carry_out(acts: Sequence[Act], limit_s: float, session: RobotSession) -> None:
+    """Carry acts out, each to its end; refused ones are skipped, and raised as RobotRefused at the end."""
+    refused: list[str] = []
+    for act in acts:
+        act.on_begin()
+        try:
+            session.call(act.service, act.method, *act.arguments, limit_s=limit_s)
+        except RobotRefused as error:
+            refused.append(str(error))
+        except RobotLost as lost:
+            log.warning("an action is given up, with those after it: %s", lost)
+            raise
+    if refused:
+        raise RobotRefused("; ".join(refused))
 
 
 def client_of(settings: RobotSettings) -> OpenSession:
     """Return what reaches the robot, with its login checked; raises RobotError."""
     if settings.user is not None:
-        # It loads ssl, 4.5 MB, which a robot without a login does not need.
-        from touchd.drivers.robot.login import read_token
-
-        read_token(settings)
+        settings.read_token()
     if settings.client == "touchd":
         return WireSession
     load_qi()

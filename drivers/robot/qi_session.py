@@ -46,20 +46,15 @@ class QiSession:
     """
 
     def __init__(self, settings: RobotSettings, limits: RobotLimits, stopping: threading.Event) -> None:
-        self._settings = settings
-        self._limits = limits
-        self._stopping = stopping
+        self._settings, self._limits, self._stopping = settings, limits, stopping
         self._qi = load_qi()
         self._session = self._qi.Session()
         self._proxies: dict[str, Any] = {}
 
     def connect(self) -> None:
         if self._settings.user is not None:
-            from touchd.drivers.robot.login import read_token
-
-            token = read_token(self._settings)
-            authenticator = _Authenticator({"user": self._settings.user, "token": token})
-            self._session.setClientAuthenticatorFactory(authenticator)
+            login = {"user": self._settings.user, "token": self._settings.read_token()}
+            self._session.setClientAuthenticatorFactory(_Authenticator(login))
         connecting = self._session.connect(self._settings.url, _async=True)
         try:
             self._value(connecting, self._limits.connect_s, "connecting")
@@ -104,10 +99,5 @@ class _Authenticator:
     """Logs in. libqi calls both methods by these names."""
 
     def __init__(self, login: dict[str, str]) -> None:
-        self._login = login
-
-    def newAuthenticator(self) -> "_Authenticator":  # noqa: N802
-        return self
-
-    def initialAuthData(self) -> dict[str, str]:  # noqa: N802
-        return self._login
+        self.initialAuthData = lambda: login
+        self.newAuthenticator = lambda: self

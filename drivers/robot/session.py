@@ -10,6 +10,7 @@ from typing import Literal, Protocol, TypeAlias
 import msgspec
 
 from touchd.drivers.errors import TouchdError
+from touchd.drivers.whole_file import secret_in
 
 # On which NAOqi listens: up to 2.8, and 2.9.
 PORTS = {"tcp": 9559, "tcps": 9503}
@@ -119,6 +120,16 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     @property
     def address(self) -> tuple[str, str, int]:
         return address_of(self.url)
+
+    def read_token(self) -> str:
+        """Return the token; raises RobotError if it cannot be read, or if anybody might get it."""
+        token = secret_in(str(self.token_file), "robot.token_file", RobotError)
+        if not self.certificate:
+            raise RobotError(
+                f"robot {self.url}: whoever answers there would get the token; set robot.certificate to the "
+                "robot's, which touchd doctor shows, or to any if nobody else can answer"
+            )
+        return token
 
 
 class RobotSession(Protocol):

@@ -1,12 +1,11 @@
-"""A worker of the link to the robot: a thread that keeps a session and sends what waits in its queue."""
+"""A worker of the link to the robot: a thread that keeps a session and does what waits in its queue."""
 
 import logging
 import threading
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import closing, suppress
-from typing import Generic, Literal, TypeAlias, TypeVar
+from typing import Literal, TypeAlias
 
 from touchd.drivers.faults import Backoff, FaultLog
 from touchd.drivers.queue import DroppingQueue, Signal
@@ -14,8 +13,8 @@ from touchd.drivers.robot.session import RobotLimits, RobotLost, RobotRefused, R
 
 log = logging.getLogger(__name__)
 
-Item = TypeVar("Item")
 LinkState: TypeAlias = Literal["up", "down"]
+Task: TypeAlias = Callable[[RobotSession], None]
 
 # Poll interval for an idle connection; bounds how long a killed robot goes unnoticed.
 IDLE_S = 0.05
@@ -23,14 +22,14 @@ IDLE_S = 0.05
 LAST_WORDS_S = 0.5
 
 
-class Worker(ABC, Generic[Item]):
-    """A thread that keeps a session with the robot and sends what a bounded queue holds.
+class Worker:
+    """A thread that keeps a session with the robot and carries out the tasks that a bounded queue holds.
 
-    The thread alone uses the session. `begin`, `handle`, `tend`, `ask` and `end` may raise RobotLost or
+    The thread alone uses the session. Tasks, `begin`, `tend`, `ask` and `end` may raise RobotLost or
     RobotRefused.
     open_session: returns a new, unconnected session, given the event that is set once the daemon stops.
-    An item is dropped if the queue is full or it waited too long. One that was refused, or during whose call
-    the robot was lost, is not repeated, since it may have been carried out.
+    A task is dropped if the queue is full or it waited too long. One that was refused, or during which the
+    robot was lost, is not repeated, since it may have been carried out.
     """
 
     def __init__(
@@ -43,14 +42,10 @@ class Worker(ABC, Generic[Item]):
         self._limits = limits
         self._faults = FaultLog(log)
         self._wake = Signal()
-        self._queue: DroppingQueue[tuple[float, Item]] = DroppingQueue(limits.capacity, filled=self._wake)
+        self._queue: DroppingQueue[tuple[float, Task]] = DroppingQueue(limits.capacity, filled=self._wake)
         self._backoff = Backoff(first_s=0.1, cap_s=1.0)
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
-
-    @abstractmethod
-    def handle(self, session: RobotSession, item: Item) -> None:
-        """Do what a queued item asks for."""
 
     def note_state(self, state: LinkState, reason: str) -> None:
         """Note the result of an attempt to connect, or a loss; called from the worker's thread."""
@@ -72,9 +67,9 @@ class Worker(ABC, Generic[Item]):
     def start(self) -> None:
         self._thread.start()
 
-    def put(self, item: Item) -> None:
-        """Queue an item and return at once; call it from one thread."""
-        self._queue.put((time.monotonic(), item))
+    def do(self, task: Task) -> None:
+        """Queue a task and return at once; call it from one thread."""
+        self._queue.put((time.monotonic(), task))
 
     def ask_to_stop(self) -> None:
         """Tell the worker to end; returns at once."""
@@ -111,12 +106,12 @@ class Worker(ABC, Generic[Item]):
             self.note_state(state, reason)
 
     def _serve(self, session: RobotSession) -> None:
-        """Send until asked to stop, then what is left; raises RobotLost when the robot is gone."""
+        """Work until asked to stop, then do what is left; raises RobotLost when the robot is gone."""
         answered_s = time.monotonic()
         while not self._stopping.is_set():
             if not session.connected():
                 raise RobotLost("the connection was closed by the robot")
-            if self.tend(session) or self._handle_next(session):
+            if self.tend(session) or self._do_next(session):
                 answered_s = time.monotonic()
             elif time.monotonic() - answered_s >= self._limits.heartbeat_s:
                 self._heartbeat(session)
@@ -124,7 +119,7 @@ class Worker(ABC, Generic[Item]):
             else:
                 self._wake.wait(IDLE_S)
         deadline_s = time.monotonic() + LAST_WORDS_S
-        while time.monotonic() < deadline_s and self._handle_next(session):
+        while time.monotonic() < deadline_s and self._do_next(session):
             pass
 
     def _heartbeat(self, session: RobotSession) -> None:
@@ -132,15 +127,15 @@ class Worker(ABC, Generic[Item]):
         with suppress(RobotRefused):
             self.ask(session)
 
-    def _handle_next(self, session: RobotSession) -> bool:
-        """Handle the oldest item that is not stale; returns whether the robot was called."""
+    def _do_next(self, session: RobotSession) -> bool:
+        """Do the oldest task that is not stale; returns whether there was one."""
         oldest_s = time.monotonic() - self._limits.stale_s
         while (entry := self._queue.get_nowait()) is not None and entry[0] < oldest_s:
             pass
         if entry is None:
             return False
         try:
-            self.handle(session, entry[1])
+            entry[1](session)
             self._faults.end("refused", "the robot does as asked again")
         except RobotRefused as refused:
             self._faults.begin("refused", f"the robot refused {refused}")

@@ -18,13 +18,13 @@ from rigs.made_events import PREDICTION
 from rigs.programs import TOUCHD, ran
 
 from touchd.daemon.app import cli
-from touchd.daemon.app.config import ConfigError, SceneSettings
+from touchd.daemon.app.config import ConfigError, SceneSettings, Settings
 from touchd.daemon.app.parts import check_scene
 from touchd.daemon.commands import demo
 from touchd.daemon.path.events import RobotAction, TouchBegan, TouchEnded
 from touchd.daemon.playback.stream import with_quiet
 from touchd.daemon.robot.actions import Action, ActionRule
-from touchd.daemon.robot.words import vocabulary
+from touchd.daemon.robot.words import words_of
 from touchd.daemon.sinks.touches import decode
 from touchd.daemon.view.describe import describe
 from touchd.drivers.recording import Recording, read_recordings, write_recordings
@@ -352,7 +352,7 @@ def test_the_demo_shows_touch_answers_and_robot_and_ends(
 
 
 def test_events_are_described_in_words() -> None:
-    words = vocabulary("en", {})
+    words = words_of(Settings())
     assert describe(TouchBegan(touch=7, time="", sensor_ms=1), words) == "touch 7 begins"
     assert describe(PREDICTION, words) == "  early     after  1.0 s: stroke      81%  in 1.9 ms  told"
     ended = TouchEnded(touch=7, gesture="constant", frames=216, reason="gap", time="")

@@ -19,7 +19,7 @@ from touchd.daemon.app.config import LiveSettings, Settings
 from touchd.daemon.commands.run import show_on
 from touchd.daemon.path.events import Event, Label, encode
 from touchd.daemon.path.service import Service
-from touchd.daemon.robot.words import vocabulary
+from touchd.daemon.robot.words import words_of
 from touchd.daemon.sinks.labels import LabelError, Labeller, keys_of
 from touchd.daemon.sinks.touch_store import folder_of, kept_touches, labels_in
 from touchd.daemon.sinks.touches import decode
@@ -66,7 +66,7 @@ def test_without_kept_frames_it_says_how_to_keep_them() -> None:
 def test_labels_from_the_terminal_and_the_page_are_counted_together() -> None:
     settings = Settings(live=LiveSettings(port=0, label=True), journal=None)
     service = Service(settings)
-    view = View("", vocabulary("en", {}), (54,))
+    view = View("", words_of(Settings()), (54,))
     show_on(view, service, settings)
     page = service.parts.labeller
     assert page is not None

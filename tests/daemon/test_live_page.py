@@ -39,7 +39,7 @@ from touchd.daemon.path.events import (
     TouchBegan,
     TouchEnded,
 )
-from touchd.daemon.robot.words import name_of, vocabulary
+from touchd.daemon.robot.words import name_of, words_of
 from touchd.drivers.recording import Stream, ideal_clock_ms
 from touchd.drivers.robot.session import RobotSettings
 from touchd.model.studies.simulated import simulate
@@ -205,7 +205,7 @@ def test_the_answer_and_its_confidence_are_largest(played: WatchedPage) -> None:
 
 def test_the_probabilities_are_those_of_the_answer(played: WatchedPage) -> None:
     rows = [row.split("\n") for row in texts_of(played.chrome, "#bars li")]
-    words = vocabulary("en", {})
+    words = words_of(Settings())
     assert {row[0]: row[-1] for row in rows} == {
         name_of(words, label): f"{100 * value:.0f} %"
         for label, value in played.answers[-1].probabilities.items()

@@ -9,15 +9,13 @@ import pytest
 import yaml
 from rigs.made_events import PREDICTION
 
-from touchd.daemon.app.config import Language, Words
+from touchd.daemon.app.config import Language, Settings, Words
 from touchd.daemon.path.events import Event, RobotAction
 from touchd.daemon.path.feel import Feel
 from touchd.daemon.robot import actions
 from touchd.daemon.robot.actions import MEASURES, Action, ActionRule
-from touchd.daemon.robot.reactions import MOST_TOUCHES, Choice, Reactions, spoken
-from touchd.daemon.robot.words import vocabulary
-from touchd.drivers.frame import DEFAULT_PAD
-from touchd.drivers.robot.link import Act
+from touchd.daemon.robot.reactions import MOST_TOUCHES, Choice, act_of, spoken
+from touchd.daemon.robot.words import words_of
 from touchd.model.classifier import Classifier
 
 Rules = tuple[ActionRule, ...]
@@ -74,6 +72,7 @@ def test_a_wrong_rule_is_refused_with_the_reason(text: str, complaint: str) -> N
 
 
 OWN = {"pat": Words(name="tap", phrase="a tap")}
+ENGLISH = words_of(Settings())
 FEELS = "{name}: that feels like {phrase}."
 
 
@@ -81,11 +80,11 @@ FEELS = "{name}: that feels like {phrase}."
     ("template", "gesture", "words", "said"),
     [
         ("{{{gesture}}} {confidence}", "pat", {}, "{pat} 99"),
-        (FEELS, "pat", vocabulary("en", {}), "pat: that feels like a pat."),
-        (FEELS, "tickle", vocabulary("en", {}), "tickle: that feels like tickling."),
-        ("Das war {phrase}.", "pat", vocabulary("de", {}), "Das war Tätscheln."),
-        (FEELS, "pat", vocabulary("en", OWN), "tap: that feels like a tap."),
-        (FEELS, "poke", vocabulary("en", OWN), "poke: that feels like poke."),
+        (FEELS, "pat", ENGLISH, "pat: that feels like a pat."),
+        (FEELS, "tickle", ENGLISH, "tickle: that feels like tickling."),
+        ("Das war {phrase}.", "pat", words_of(Settings(language="de")), "Das war Tätscheln."),
+        (FEELS, "pat", words_of(Settings(words=OWN)), "tap: that feels like a tap."),
+        (FEELS, "poke", words_of(Settings(words=OWN)), "poke: that feels like poke."),
     ],
 )
 def test_words_are_filled_in(template: str, gesture: str, words: dict[str, Words], said: str) -> None:
@@ -95,7 +94,7 @@ def test_words_are_filled_in(template: str, gesture: str, words: dict[str, Words
 
 @pytest.mark.parametrize("language", ["en", "de"])
 def test_every_answer_of_the_model_has_words(language: Language) -> None:
-    assert {*Classifier.load().labels, "uncertain"} <= vocabulary(language, {}).keys()
+    assert {*Classifier.load().labels, "uncertain"} <= words_of(Settings(language=language)).keys()
 
 
 ANY = "[{do: [{say: any}]}]"
@@ -183,10 +182,9 @@ def test_every_kind_of_action_reaches_the_robot_in_order() -> None:
             Action(say="I am {confidence} percent sure"),
         )
     )
-    acts: list[Act] = []
     begun: list[Event] = []
-    reactions = Reactions({DEFAULT_PAD: (rule,)}, {}, acts.extend, begun.append)
-    reactions.on_answer(msgspec.structs.replace(PREDICTION, gesture="tickle", confidence=0.654))
+    answer = msgspec.structs.replace(PREDICTION, gesture="tickle", confidence=0.654)
+    acts = [act_of(action, answer, {}, begun.append) for action in rule.do]
     assert [(act.service, act.arguments) for act in acts] == [
         ("ALLeds", ("FaceLeds", 0xFF8000, 0.3)),
         ("ALAnimatedSpeech", ("A tickle!",)),

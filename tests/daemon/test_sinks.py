@@ -7,7 +7,7 @@ import re
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -25,7 +25,7 @@ from touchd.daemon.robot.sink import RobotSink
 from touchd.daemon.sinks.journal import Journal, JournalError, JournalSink
 from touchd.daemon.sinks.sink import EventFanout, LinesSink, QueuedSink
 from touchd.daemon.sinks.touches import decode
-from touchd.drivers.robot.link import RobotLink, Told
+from touchd.drivers.robot.link import RobotLink
 from touchd.drivers.robot.session import RobotSettings
 
 
@@ -125,7 +125,7 @@ def test_what_a_robot_does_comes_after_its_cause(pipe: tuple[int, int]) -> None:
         def __init__(self) -> None:
             pass
 
-        def put(self, item: Told) -> None:
+        def put(self, name: str, detail: Sequence[object]) -> None:
             fanout.emit(done)
 
     lines = LinesSink("stdout", writer, encode)

@@ -23,9 +23,9 @@ from rich.console import Console
 from rigs.made_events import PREDICTION
 from rigs.wait import WITHIN_S
 
-from touchd.daemon.app.config import Language
+from touchd.daemon.app.config import Language, Settings
 from touchd.daemon.path.events import Prediction, RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
-from touchd.daemon.robot.words import name_of, vocabulary
+from touchd.daemon.robot.words import name_of, words_of
 from touchd.daemon.sinks.labels import Labeller, keys_of
 from touchd.daemon.view.elements import big
 from touchd.daemon.view.view import View
@@ -38,10 +38,11 @@ MARKS = (54, 81, 144)
 # Shows a view until its input ends.
 SHOWN = """
 import sys
+from touchd.daemon.app.config import Settings
 from touchd.daemon.path.events import SensorEvent
 from touchd.daemon.view.view import View
-from touchd.daemon.robot.words import vocabulary
-with View("a title", vocabulary("en", {}), (54, 81, 144)) as view:
+from touchd.daemon.robot.words import words_of
+with View("a title", words_of(Settings()), (54, 81, 144)) as view:
     view.put(SensorEvent(state="up", time=""))
     sys.stdin.read()
 print("gone")
@@ -61,7 +62,7 @@ def view_of(
 ) -> tuple[View, Console]:
     colour: dict[str, Any] = {"color_system": colours, "force_terminal": colours is not None}
     console = Console(file=io.StringIO(), width=width, height=height, **colour)
-    view = View("http://127.0.0.1:8054/", vocabulary(language, {}), MARKS, console)
+    view = View("http://127.0.0.1:8054/", words_of(Settings(language=language)), MARKS, console)
     return view, console
 
 
@@ -209,7 +210,7 @@ def test_every_key_that_labels_a_touch_is_shown(size: tuple[int, int], language:
     assert len(shown) == size[1]
     keys = " ".join(shown)
     for key, gesture in keys_of(gestures).items():
-        assert f"{key} {name_of(vocabulary(language, {}), gesture)} " in keys
+        assert f"{key} {name_of(words_of(Settings(language=language)), gesture)} " in keys
     assert "touch 7 was: " in shown[-1]
 
 

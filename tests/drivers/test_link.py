@@ -35,7 +35,7 @@ def raised(calls: CallLog) -> list[tuple[object, ...]]:
 
 def test_each_pad_has_events_of_its_own() -> None:
     with robot_and_link(pads=("head", "wrist")) as (_, link, calls, _):
-        link.put(message("pat", 7, pad="wrist", time_s=1_790_000_000.25, confidence=0.75))
+        link.put(*message("pat", 7, pad="wrist", time_s=1_790_000_000.25, confidence=0.75))
         calls.wait_for_raise("TouchGesture/wrist/Gesture", "pat")
         link.set_status("degraded", "head")
         calls.wait_for_raise("TouchGesture/head/Status", "degraded")
@@ -58,7 +58,7 @@ def test_each_pad_has_events_of_its_own() -> None:
 )
 def test_a_time_is_sent_in_seconds_and_microseconds_that_fit(time_s: float, sent: list[int]) -> None:
     with robot_and_link() as (_, link, calls, _):
-        link.put(message(time_s=time_s, sequence=2**31 - 1))
+        link.put(*message(time_s=time_s, sequence=2**31 - 1))
         calls.wait_for_raise(GESTURE, "stroke")
     (detail,) = calls.raised(DETAIL)
     assert isinstance(detail, list)
@@ -68,9 +68,9 @@ def test_a_time_is_sent_in_seconds_and_microseconds_that_fit(time_s: float, sent
 @pytest.mark.parametrize("is_removed_by_another", [False, True])
 def test_the_last_gesture_is_shown_for_a_second(is_removed_by_another: bool) -> None:
     with robot_and_link(pads=("head",)) as (robot, link, calls, _):
-        link.put(message("stroke", pad="head"))
+        link.put(*message("stroke", pad="head"))
         time.sleep(0.2)
-        link.put(message("pat", pad="head"))
+        link.put(*message("pat", pad="head"))
         shown = calls.wait_for_raise("TouchGesture/head/Gesture", "pat")
         if is_removed_by_another:
             robot.services["ALMemory"].removeData("TouchGesture/head/Gesture")  # type: ignore[attr-defined]
@@ -79,7 +79,7 @@ def test_the_last_gesture_is_shown_for_a_second(is_removed_by_another: bool) -> 
         assert bool(removed.refused) == is_removed_by_another
         assert 0.95 < removed.time_s - shown.time_s < 1.9
         # Removing it is tried once, and later answers arrive.
-        link.put(message("rub", pad="head"))
+        link.put(*message("rub", pad="head"))
         calls.wait_for_raise("TouchGesture/head/Gesture", "rub", timeout_s=10)
     assert [call.method for call in calls.all()].count("removeData") == 2
 
@@ -89,7 +89,7 @@ def test_the_status_is_sent_once_for_each_change() -> None:
         for status in ("up", "down", "down", "up"):
             link.set_status(status)
             wait_for(lambda status=status: calls.raised(STATUS)[-1] == status)  # type: ignore[misc]
-            link.put(message(status))
+            link.put(*message(status))
             calls.wait_for_raise(GESTURE, status)
     assert calls.raised(STATUS) == ["up", "down", "up", "down"]
 

@@ -49,7 +49,7 @@ def session(robot: Robot, client: str) -> Iterator[RobotSession]:
 
 def test_an_answer_is_raised_under_the_prefix_and_removed_at_the_end(robot: Robot, client: str) -> None:
     with linked(robot, client=client, prefix="Pad") as (link, _):
-        link.put(message("stroke", confidence=0.75, time_s=1_790_000_000.25, touch=7, sequence=12))
+        link.put(*message("stroke", confidence=0.75, time_s=1_790_000_000.25, touch=7, sequence=12))
         robot.calls.wait_for_raise("Pad/Gesture", "stroke")
         detail = ["stroke", 0.75, [1_790_000_000, 250_000], "early", 7, 12]
         assert robot.calls.raised("Pad/Detail") == [detail]
@@ -60,7 +60,7 @@ def test_a_slow_robot_gets_every_detail_before_its_gesture(client: str) -> None:
     gestures = ["pat", "rub", "tickle"]
     with Robot(call_s=0.03) as robot, linked(robot, client=client) as (link, states):
         for touch, gesture in enumerate(gestures):
-            link.put(message(gesture, touch))
+            link.put(*message(gesture, touch))
         robot.calls.wait_for_raise(GESTURE, gestures[-1])
         raised = [call.arguments for call in robot.calls.all() if call.arguments[0] in (GESTURE, DETAIL)]
         told = [(key, value[0] if isinstance(value, list) else value) for key, value in raised]
@@ -76,7 +76,7 @@ def test_the_robots_memory_holds_four_bytes(robot: Robot, client: str, session: 
     assert robot.calls.raised("Pad/Float") == [float(np.float32(0.1))]
     with linked(robot, client=client) as (link, _):
         # Beyond 2038, and after more touches than there will be.
-        link.put(message("pat", confidence=0.5, time_s=2.0**33, touch=2**40, sequence=2**31))
+        link.put(*message("pat", confidence=0.5, time_s=2.0**33, touch=2**40, sequence=2**31))
         robot.calls.wait_for_raise(GESTURE, "pat")
         assert robot.calls.raised(DETAIL) == [["pat", 0.5, [0, 0], "early", 0, 0]]
 
@@ -128,7 +128,7 @@ def test_speech_that_takes_long_delays_no_event(client: str) -> None:
     with Robot(say_s=60) as robot, linked(robot, client=client, acts=True) as (link, _):
         answer(link, "stroke", 1)
         robot.calls.wait_for(lambda call: call.method == "say")
-        link.put(message("pat", 2))
+        link.put(*message("pat", 2))
         robot.calls.wait_for_raise(GESTURE, "pat")
         assert len(robot.calls.said()) == 1
 

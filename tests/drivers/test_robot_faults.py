@@ -41,7 +41,7 @@ def test_a_kill_during_a_call_is_survived(client: str) -> None:
     limits = RobotLimits(call_s=20)
     with Robot(call_s=0.2) as robot, linked(robot, client=client, limits=limits) as (link, states):
         states.wait_for("up")
-        link.put(message("stroke"))
+        link.put(*message("stroke"))
         robot.calls.wait_for(lambda call: "Detail" in str(call.arguments[0]))
         robot.kill()
         states.wait_for("up", "down", timeout_s=10)
@@ -79,7 +79,7 @@ def test_stale_messages_are_dropped_and_fresh_ones_sent(client: str) -> None:
     with Robot() as robot:
         robot.kill()
         with linked(robot, client=client, limits=limits) as (link, states):
-            link.put(message("stale"))
+            link.put(*message("stale"))
             assert "refused" in states.wait_for("down")
             time.sleep(0.6)
             robot.start()

@@ -20,9 +20,9 @@ from rigs.stub_robot import StubRobot
 from rigs.wait import SOON_S
 
 from touchd.daemon.path.events import timestamp
-from touchd.daemon.robot.sink import told_of
+from touchd.daemon.robot.sink import detail_of
 from touchd.drivers.fakes.loopback_robot import LoopbackRobot
-from touchd.drivers.robot.link import LIMITS, Act, RobotLink, Told
+from touchd.drivers.robot.link import LIMITS, Act, RobotLink
 from touchd.drivers.robot.session import RobotLimits, RobotSettings
 
 HAS_QI = importlib.util.find_spec("qi") is not None
@@ -101,10 +101,11 @@ def message(
     time_s: float | None = None,
     sequence: int | None = None,
     **other: Any,
-) -> Told:
+) -> tuple[str, list[object]]:
     time_s, number = time_s or time.time(), sequence or touch
     values = {"gesture": gesture, "touch": touch, "time": timestamp(time_s), **other}
-    return told_of(msgspec.structs.replace(PREDICTION, **values), number)
+    answer = msgspec.structs.replace(PREDICTION, **values)
+    return answer.pad, detail_of(answer, number)
 
 
 def say(words: str) -> Act:
@@ -113,13 +114,13 @@ def say(words: str) -> Act:
 
 def answer(link: RobotLink, gesture: str = "stroke", touch: int = 1) -> None:
     """Publish an answer, and have the robot say it."""
-    link.put(message(gesture, touch))
+    link.put(*message(gesture, touch))
     link.act([say(gesture)])
 
 
 def hears(robot: Robot, link: RobotLink, gesture: str = "pat") -> None:
     """Assert that a robot receives a gesture that is published now."""
-    link.put(message(gesture))
+    link.put(*message(gesture))
     robot.calls.wait_for_raise(GESTURE, gesture)
 
 
@@ -185,7 +186,7 @@ def reach(state: str, robot: Robot, link: RobotLink, states: States) -> None:
         states.wait_for("up", "down")
     elif state in ("hung", "hung-connect"):
         robot.hang()
-        link.put(message())
+        link.put(*message())
     if state == "hung-connect":
         states.wait_for("up", "down")
         time.sleep(0.3)
