@@ -14,18 +14,17 @@ import logging
 import os
 import re
 from collections import defaultdict, deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import TypeAlias
 
 import numpy as np
 from msgspec import UNSET
 
-from touchd.daemon.app.config import ConfigError, SensorSettings, Settings
-from touchd.daemon.path.events import Event, Label, SensorEvent, Tags, TouchBegan, TouchEnded
+from touchd.daemon.app.config import SensorSettings, Settings
+from touchd.daemon.path.events import Event, Label, SensorEvent, TouchBegan, TouchEnded
 from touchd.daemon.sinks.sink import QueuedSink
 from touchd.daemon.sinks.touches import TouchKey, read_labels
 from touchd.drivers.errors import os_errors_as
@@ -39,7 +38,6 @@ from touchd.drivers.recording import (
     UNLABELLED,
     Recording,
     RecordingError,
-    prepare,
     write_recordings,
 )
 from touchd.drivers.whole_file import PARTIAL
@@ -48,6 +46,7 @@ log = logging.getLogger(__name__)
 
 FOLDER_MODE = 0o750
 TOUCHES = ".touches"
+HALF_CLOCK = CLOCK_MODULUS // 2
 NAME = re.compile(r"(\d{4}-\d\d-\d\dT\d\d)-(\d\d)-(\d\d\.\d{3}Z)-(\d+)-(\d+)" + re.escape(SUFFIX))
 LEAD_MS = 1000
 # Frames further apart than this are not contiguous.
@@ -56,86 +55,53 @@ CUT_MS = 1000
 RECENT_MS, RECENT_FRAMES = 3000, 1500
 LONGEST_FRAMES = round(60.0 * FRAME_RATE_HZ)
 
-# Participant, substrate and cover.
-SetUp: TypeAlias = tuple[str, str, str]
-
 
 @dataclass(frozen=True, eq=False)
 class EndedTouch:
-    """A touch that is over, and the pad's frames around it, in order of arrival.
+    """A touch that is over, and the contiguous frames around it.
 
-    noticed: number of these frames that had arrived when the touch was detected. end_ms: the sensor's clock
-    at its last contact. quiet_from_ms: the same of the previous touch, None if there is none.
+    quiet_from_ms: the sensor's clock at the last contact of the touch before; None for the first.
     """
 
     began: TouchBegan
     ended: TouchEnded
     frames: tuple[Frame, ...]
-    noticed: int
-    end_ms: int
     quiet_from_ms: int | None
 
+    def recordings(self) -> list[Recording]:
+        """Return the rest before it, the touch from its first frame to its last contact, the quiet after it.
 
-@dataclass(frozen=True, eq=False)
-class TouchPieces:
-    """The frames of a touch, and the untouched frames before and after it, which may be missing."""
+        The rest lasts at most LEAD_MS and holds nothing of an earlier touch. There is quiet only if the touch
+        was released, and not if it was lost or taken for the pad's rest.
+        """
+        clock = clock_ms(self.frames)
 
-    before: tuple[Frame, ...]
-    touch: tuple[Frame, ...]
-    after: tuple[Frame, ...]
+        def place(sensor_ms: int) -> int:
+            """Return the index of the first frame from this time on."""
+            since_ms = (sensor_ms - self.frames[0].sensor_ms + HALF_CLOCK) % CLOCK_MODULUS - HALF_CLOCK
+            return int(np.searchsorted(clock, clock[0] + since_ms))
 
-    def recordings(self, who: SetUp) -> list[Recording]:
-        """Return the pieces as recordings on one clock, the touch unlabelled. who: touches what."""
-        pieces = ((NO_TOUCH, self.before), (UNLABELLED, self.touch), (NO_TOUCH, self.after))
-        clocks = np.split(
-            clock_ms([frame for _, piece in pieces for frame in piece]),
-            np.cumsum([len(self.before), len(self.touch)]),
-        )
-        return [
-            Recording(*who, gesture, np.stack([frame.pressure for frame in piece]), ms, "live")
-            for (gesture, piece), ms in zip(pieces, clocks, strict=True)
-            if piece
-        ]
-
-
-def cut(touch: EndedTouch) -> TouchPieces:
-    """Return the touch from its true first frame to its last contact, with the rest before and after it.
-
-    The part before lasts at most LEAD_MS and holds nothing of an earlier touch. The part after is kept only
-    if the touch was released, and not if it was lost or taken for the pad's rest.
-    """
-    frames = touch.frames
-    began_ms = touch.began.sensor_ms
-    first = _walk_back(frames, touch.noticed - 1, began_ms)
-    lead_ms = LEAD_MS
-    if touch.quiet_from_ms is not None:
-        lead_ms = min(LEAD_MS, (began_ms - touch.quiet_from_ms) % CLOCK_MODULUS - 1)
-    start = _walk_back(frames, first, began_ms - lead_ms)
-    stop = first + 1
-    while stop < len(frames) and _is_next(frames, stop) and _is_from(touch.end_ms, frames[stop].sensor_ms):
-        stop += 1
-    return TouchPieces(
-        before=frames[start:first],
-        touch=frames[first:stop],
-        after=frames[stop:] if touch.ended.reason == "released" else (),
-    )
-
-
-def _walk_back(frames: Sequence[Frame], place: int, until_ms: int) -> int:
-    """Return the first index from which frames up to `place` are contiguous and not before `until_ms`."""
-    while place > 0 and _is_next(frames, place) and _is_from(frames[place - 1].sensor_ms, until_ms):
-        place -= 1
-    return place
-
-
-def _is_next(frames: Sequence[Frame], place: int) -> bool:
-    """Whether a frame is contiguous with the one before it."""
-    return (frames[place].sensor_ms - frames[place - 1].sensor_ms) % CLOCK_MODULUS <= CUT_MS
-
-
-def _is_from(ms: int, since_ms: int) -> bool:
-    """Whether a time is not before another, on a clock that wraps."""
-    return (ms - since_ms) % CLOCK_MODULUS < CLOCK_MODULUS // 2
+        began_ms, lead_ms = self.began.sensor_ms, LEAD_MS
+        if self.quiet_from_ms is not None:
+            lead_ms = min(lead_ms, (began_ms - self.quiet_from_ms) % CLOCK_MODULUS - 1)
+        rest, first = place(began_ms - lead_ms), place(began_ms)
+        assert self.ended.sensor_ms is not None, "the touch had a last contact"
+        stop = max(first + 1, place(self.ended.sensor_ms + 1))
+        end = len(clock) if self.ended.reason == "released" else stop
+        tags = {} if self.began.tags is UNSET else self.began.tags
+        participant, substrate, cover = (tags.get(key, UNLABELLED) for key in KEYS[:3])
+        recordings = []
+        for gesture, piece in (
+            (NO_TOUCH, slice(rest, first)),
+            (UNLABELLED, slice(first, stop)),
+            (NO_TOUCH, slice(stop, end)),
+        ):
+            if frames := self.frames[piece]:
+                counts = np.stack([frame.pressure for frame in frames])
+                recordings.append(
+                    Recording(participant, substrate, cover, gesture, counts, clock[piece], "live")
+                )
+        return recordings
 
 
 @dataclass(frozen=True, order=True)
@@ -169,18 +135,25 @@ class TouchStore:
         with os_errors_as(RecordingError, f"{folder}: cannot be made", "give another journal.path"):
             # Like the journal, it is not world-readable.
             folder.mkdir(FOLDER_MODE, exist_ok=True)
-        prepare(folder)
-        self._count: int | None = None
+            # A killed program may have left some.
+            _delete(folder.glob(f"{PARTIAL}*"))
+        self._count = max((kept.count for kept in kept_touches(folder)), default=0)
 
     def add(self, touch: EndedTouch) -> None:
         """Write a touch, then delete the oldest beyond the bound; when that fails it is counted in `lost`."""
+        self._count += 1
+        path = self._folder / file_name(touch.began.time, touch.began.touch, self._count)
+        provenance = {
+            "source": f"touchd run, touchd {metadata.version('touchd')}",
+            "recorded": touch.began.time,
+            "touch": str(touch.began.touch),
+            "taken for": f"{touch.ended.gesture} ({touch.ended.reason})",
+            "sensor": self._sensor,
+        }
         try:
             # A user may have deleted the touches with their folder.
             self._folder.mkdir(FOLDER_MODE, exist_ok=True)
-            self._count = (self._take_over() if self._count is None else self._count) + 1
-            path = self._folder / file_name(touch.began.time, touch.began.touch, self._count)
-            recordings = cut(touch).recordings(set_up_of(touch.began.tags))
-            write_recordings(path, recordings, self._provenance(touch))
+            write_recordings(path, touch.recordings(), provenance)
             self._delete_oldest()
         except (OSError, RecordingError) as error:
             self.lost += 1
@@ -201,27 +174,6 @@ class TouchStore:
         for is_labelled in (True, False):
             own = [each for each in kept if (each.key in self._labelled) == is_labelled]
             _delete(older.path for older in own[: -self._most])
-
-    def _take_over(self) -> int:
-        """Remove partial files of a killed program, and return the last count that was written here."""
-        _delete(self._folder.glob(f"{PARTIAL}*"))
-        return max((kept.count for kept in kept_touches(self._folder)), default=0)
-
-    def _provenance(self, touch: EndedTouch) -> dict[str, str]:
-        return {
-            "source": f"touchd run, touchd {metadata.version('touchd')}",
-            "recorded": touch.began.time,
-            "touch": str(touch.began.touch),
-            "taken for": f"{touch.ended.gesture} ({touch.ended.reason})",
-            "sensor": self._sensor,
-        }
-
-
-def set_up_of(tags: Tags) -> SetUp:
-    """Return participant, substrate and cover, as far as tags of these names say."""
-    said = {} if tags is UNSET else tags
-    participant, substrate, cover = (said.get(key, UNLABELLED) for key in KEYS[:3])
-    return participant, substrate, cover
 
 
 def description_of(sensor: SensorSettings) -> str:
@@ -301,9 +253,8 @@ class TouchSink(QueuedSink[EndedTouch]):
         match item:
             case TouchBegan() if item.pad in self._pads:
                 self._pads[item.pad].begin(item)
-            case TouchEnded(sensor_ms=int(end_ms)) if item.pad in self._pads:
-                touch = self._pads[item.pad].end(item, end_ms)
-                if touch is not None:
+            case TouchEnded(sensor_ms=int()) if item.pad in self._pads:
+                if (touch := self._pads[item.pad].end(item)) is not None:
                     super().put(touch)
             case Label() if item.pad in self._stores:
                 self._stores[item.pad].label(item)
@@ -316,48 +267,50 @@ class TouchSink(QueuedSink[EndedTouch]):
 
 
 class _PadFrames:
-    """The last frames of one pad, and those of the ongoing touch."""
+    """The last contiguous frames of one pad, and those of the ongoing touch."""
 
     def __init__(self) -> None:
         self._recent: deque[Frame] = deque(maxlen=RECENT_FRAMES)
         self._began: TouchBegan | None = None
-        self._noticed = 0
         self._frames: list[Frame] = []
+        self._is_cut = False
         self._quiet_from_ms: int | None = None
 
     def take(self, frame: Frame) -> None:
+        if self._recent and _ms_between(self._recent[-1], frame) > CUT_MS:
+            self._recent.clear()
+            self._is_cut = True
         self._recent.append(frame)
-        while (frame.sensor_ms - self._recent[0].sensor_ms) % CLOCK_MODULUS > RECENT_MS:
+        while _ms_between(self._recent[0], frame) > RECENT_MS:
             self._recent.popleft()
-        if self._began is not None and len(self._frames) < LONGEST_FRAMES:
+        if self._began is not None and not self._is_cut and len(self._frames) < LONGEST_FRAMES:
             self._frames.append(frame)
 
     def begin(self, event: TouchBegan) -> None:
-        self._began, self._frames = event, list(self._recent)
-        self._noticed = len(self._frames)
+        self._began, self._frames, self._is_cut = event, list(self._recent), False
 
-    def end(self, event: TouchEnded, end_ms: int) -> EndedTouch | None:
+    def end(self, event: TouchEnded) -> EndedTouch | None:
         began, frames, quiet_from_ms = self._began, tuple(self._frames), self._quiet_from_ms
-        self._began, self._frames, self._quiet_from_ms = None, [], end_ms
-        if began is None:
-            return None
-        return EndedTouch(began, event, frames, self._noticed, end_ms, quiet_from_ms)
+        self._began, self._frames, self._quiet_from_ms = None, [], event.sensor_ms
+        return EndedTouch(began, event, frames, quiet_from_ms) if began and frames else None
+
+
+def _ms_between(earlier: Frame, later: Frame) -> int:
+    """Return the time from one frame to another, on a clock that wraps."""
+    return (later.sensor_ms - earlier.sensor_ms) % CLOCK_MODULUS
 
 
 def keep_touches(settings: Settings) -> TouchSink:
     """Return the sink that saves touches beside the journal, whose folder is there.
 
-    Raises ConfigError, and JournalError when an older journal cannot be read.
+    Raises RecordingError, and JournalError when an older journal cannot be read.
     """
     journal = settings.journal
     assert journal is not None, "touches are saved beside a journal"
     assert journal.keep_touches is not None, "the journal keeps touches"
     stores = {}
     for name, pad in settings.pads.items():
-        try:
-            folder, what = folder_of(journal.file, name), description_of(pad.sensor)
-            labelled = read_labels(journal.file, name)
-            stores[name] = TouchStore(folder, journal.keep_touches, what, labelled)
-        except RecordingError as error:
-            raise ConfigError(f"journal.keep_touches: {error}") from error
+        labelled = read_labels(journal.file, name)
+        sensor = description_of(pad.sensor)
+        stores[name] = TouchStore(folder_of(journal.file, name), journal.keep_touches, sensor, labelled)
     return TouchSink(stores)

@@ -6,7 +6,6 @@ import shutil
 import sys
 import threading
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,7 @@ from rigs.scripted_model import Scripted
 from rigs.small_disk import log_on_small_disk, needs_small_disk
 from rigs.wait import WITHIN_S
 
-from touchd.daemon.app.config import ConfigError, JournalSettings, PadSettings, SensorSettings, Settings
+from touchd.daemon.app.config import JournalSettings, PadSettings, SensorSettings, Settings
 from touchd.daemon.path.events import (
     Event,
     Label,
@@ -39,7 +38,6 @@ from touchd.daemon.sinks.touch_store import (
     KeptTouch,
     TouchSink,
     TouchStore,
-    cut,
     description_of,
     file_name,
     folder_of,
@@ -54,7 +52,6 @@ from touchd.drivers.recording import (
     read_provenance,
     read_recordings,
 )
-from touchd.drivers.whole_file import PARTIAL
 
 PERIOD_MS = 1000 / 54
 TESTS = Path(__file__).parents[1]
@@ -133,18 +130,10 @@ def test_a_kept_touch_is_what_the_pad_sent(bench: StoreBench) -> None:
         assert recording.sensor_ms.tolist() == [frame.sensor_ms for frame in expected]
         np.testing.assert_array_equal(recording.counts, np.stack([frame.pressure for frame in expected]))
     assert [part.gesture for part in read_recordings(kept.path)] == [NO_TOUCH, UNLABELLED, NO_TOUCH]
-
-
-def test_a_file_has_provenance_and_no_persons_name(bench: StoreBench) -> None:
-    bench.feel(palm(1.2), nothing(2.0))
-    (kept,) = bench.end()
+    assert {frames.touch.participant, frames.touch.substrate, frames.touch.cover} == {UNLABELLED}
     told = read_provenance(kept.path)
-    assert told["sensor"] == "a made pad"
-    assert told["touch"] == "1"
-    assert told["recorded"] == kept.time
+    assert (told["sensor"], told["touch"], told["recorded"]) == ("a made pad", "1", kept.time)
     assert told["taken for"] == "stroke (released)"
-    touch = read_frames(kept).touch
-    assert {touch.participant, touch.substrate, touch.cover, touch.gesture} == {UNLABELLED}
 
 
 def test_a_touch_over_a_clock_wrap_has_one_clock(store: TouchStore) -> None:
@@ -271,7 +260,7 @@ def test_tags_say_who_touched_what(store: TouchStore, tmp_path: Path) -> None:
 def test_an_unusable_folder_is_reported_with_its_setting(tmp_path: Path) -> None:
     (tmp_path / "events.jsonl.touches").touch()
     for path, why in ((tmp_path / "events.jsonl", "File exists"), (Path("/nowhere/e"), "No such file")):
-        with pytest.raises(ConfigError, match=rf"journal\.keep_touches: .*{why}"):
+        with pytest.raises(RecordingError, match=rf"{why}.*give another journal.path"):
             keep_touches(Settings(journal=JournalSettings(path=str(path), keep_touches=3)))
     assert not Path("/nowhere").exists()
 
@@ -361,17 +350,6 @@ def test_a_kill_while_writing_leaves_only_whole_files(tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == {kept.path.name for kept in kept_touches(tmp_path)}
 
 
-def test_a_new_store_leaves_what_the_old_one_writes(store: TouchStore, tmp_path: Path) -> None:
-    writing = tmp_path / "touches" / f"{PARTIAL}now"
-    writing.touch()
-    later = TouchStore(tmp_path / "touches", 20, "a made pad")
-    assert writing.exists()
-    store.add(ended_touch(1))
-    later.add(ended_touch(2))
-    assert not writing.exists()
-    assert [(kept.count, kept.number) for kept in kept_touches(tmp_path / "touches")] == [(1, 1), (2, 2)]
-
-
 def test_foreign_files_are_neither_offered_nor_deleted(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").touch()
     (tmp_path / "anna_foam_fur_rub_1.csv.gz").touch()
@@ -385,61 +363,64 @@ def test_foreign_files_are_neither_offered_nor_deleted(tmp_path: Path) -> None:
     }
 
 
-def made(first_ms: int, last_ms: int, times_ms: Sequence[int], noticed: int, **other: Any) -> EndedTouch:
-    """Return a touch from its first to its last frame, of frames at these times."""
-    touch, counts = ended_touch(1), np.zeros((8, 8), np.uint16)
-    frames = tuple(Frame(ms % 2**32, 0.0, counts) for ms in times_ms)
-    began = msgspec.structs.replace(touch.began, sensor_ms=first_ms % 2**32)
-    return replace(touch, began=began, frames=frames, noticed=noticed, end_ms=last_ms % 2**32, **other)
-
-
-def times_of(frames: Sequence[Frame], since_ms: int = 0) -> list[int]:
-    return [(frame.sensor_ms - since_ms) % 2**32 for frame in frames]
+def times_kept(
+    first_ms: int, last_ms: int, since_ms: int = 0, quiet_from_ms: int | None = None, reason: Any = "released"
+) -> list[list[int]]:
+    """Return the times of rest, touch and quiet of a touch, of frames every 100 ms for 3 s."""
+    counts = np.zeros((8, 8), np.uint16)
+    frames = tuple(Frame((since_ms + ms) % 2**32, 0.0, counts) for ms in range(0, 3000, 100))
+    touch = ended_touch(1)
+    began = msgspec.structs.replace(touch.began, sensor_ms=(since_ms + first_ms) % 2**32)
+    ended = msgspec.structs.replace(touch.ended, sensor_ms=(since_ms + last_ms) % 2**32, reason=reason)
+    found = EndedTouch(began, ended, frames, quiet_from_ms).recordings()
+    return [((part.sensor_ms - since_ms) % 2**32).tolist() for part in found]
 
 
 @pytest.mark.parametrize("since_ms", [0, 2**32 - 1300], ids=["", "over the wrap"])
 @pytest.mark.parametrize(
-    ("first_ms", "last_ms", "before", "touch", "after"),
+    ("first_ms", "last_ms", "expected"),
     [
-        (1200, 1500, range(200, 1200, 100), range(1200, 1501, 100), range(1600, 3000, 100)),
-        (1150, 1499, range(200, 1200, 100), range(1200, 1500, 100), range(1500, 3000, 100)),
-        (300, 2900, range(0, 300, 100), range(300, 2901, 100), []),
-        (1200, 1200, range(200, 1200, 100), [1200], range(1300, 3000, 100)),
-        (0, 3500, [], range(0, 3000, 100), []),
+        (1200, 1500, [range(200, 1200, 100), range(1200, 1501, 100), range(1600, 3000, 100)]),
+        (1150, 1499, [range(200, 1200, 100), range(1200, 1500, 100), range(1500, 3000, 100)]),
+        (300, 2900, [range(0, 300, 100), range(300, 2901, 100)]),
+        (1200, 1200, [range(200, 1200, 100), [1200], range(1300, 3000, 100)]),
+        (0, 3500, [range(0, 3000, 100)]),
     ],
     ids=["a touch", "between frames", "to the end", "one frame", "longer than the frames"],
 )
 def test_frames_are_cut_where_the_touch_begins_and_ends(
-    since_ms: int, first_ms: int, last_ms: int, before: range, touch: range, after: range
+    since_ms: int, first_ms: int, last_ms: int, expected: list[range]
 ) -> None:
-    times_ms = [since_ms + ms for ms in range(0, 3000, 100)]
-    noticed = len(before) + 3 if first_ms != 300 else 30
-    pieces = cut(made(since_ms + first_ms, since_ms + last_ms, times_ms, noticed + (first_ms > 1000) * 2))
-    assert times_of(pieces.before, since_ms) == list(before)
-    assert times_of(pieces.touch, since_ms) == list(touch)
-    assert times_of(pieces.after, since_ms) == list(after)
-
-
-@pytest.mark.parametrize(("gap_ms", "is_kept"), [(1000, True), (1001, False)])
-def test_frames_beyond_a_gap_are_not_kept(gap_ms: int, is_kept: bool) -> None:
-    first_ms, last_ms = 200 + gap_ms, 200 + 2 * gap_ms
-    times_ms = [100, 200, first_ms, first_ms + 100, last_ms + 100, last_ms + 200]
-    pieces = cut(made(first_ms - 1, last_ms + 100, times_ms, 3))
-    assert times_of(pieces.before) == ([200] if is_kept else [])
-    assert times_of(pieces.touch) == [first_ms, first_ms + 100, *([last_ms + 100] if is_kept else [])]
+    assert times_kept(first_ms, last_ms, since_ms) == [list(times) for times in expected]
 
 
 @pytest.mark.parametrize(("quiet_from_ms", "first_kept_ms"), [(None, 1000), (300, 1000), (1500, 1600)])
 def test_rest_holds_nothing_of_an_earlier_touch(quiet_from_ms: int | None, first_kept_ms: int) -> None:
-    touch = made(2000, 2200, range(0, 3000, 100), 22, quiet_from_ms=quiet_from_ms)
-    assert times_of(cut(touch).before)[0] == first_kept_ms
+    assert times_kept(2000, 2200, quiet_from_ms=quiet_from_ms)[0][0] == first_kept_ms
 
 
 def test_only_a_released_touch_is_followed_by_quiet() -> None:
-    touch = made(200, 300, range(0, 1000, 100), 4)
-    settled = replace(touch, ended=msgspec.structs.replace(touch.ended, reason="settled"))
-    assert len(cut(touch).after) == 6
-    assert cut(settled).after == ()
+    assert len(times_kept(200, 300)) == 3
+    assert len(times_kept(200, 300, reason="settled")) == 2
+
+
+@pytest.mark.parametrize(("gap_ms", "is_whole"), [(1000, True), (1001, False)])
+def test_frames_beyond_a_gap_are_not_kept(
+    store: TouchStore, tmp_path: Path, gap_ms: int, is_whole: bool
+) -> None:
+    sink, touch = TouchSink({"pad": store}), ended_touch(1)
+    sink.start()
+    first_ms, last_ms = 200 + gap_ms, 300 + 2 * gap_ms
+    for ms in (100, 200, first_ms, first_ms + 100, last_ms, last_ms + 100):
+        sink.put_frame(Frame(ms, 0.0, touch.frames[0].pressure))
+        if ms == first_ms:
+            sink.put(msgspec.structs.replace(touch.began, sensor_ms=first_ms))
+    sink.put(msgspec.structs.replace(touch.ended, sensor_ms=last_ms))
+    sink.stop(WITHIN_S)
+    (kept,) = kept_touches(tmp_path / "touches")
+    frames = read_frames(kept)
+    assert frames.touch.sensor_ms.tolist() == [first_ms, first_ms + 100, last_ms][: 3 if is_whole else 2]
+    assert (frames.before is not None) == is_whole
 
 
 def test_a_folder_that_fails_loses_touches_and_says_so_once(
@@ -471,11 +452,6 @@ def test_a_folder_that_is_missing_holds_no_touches(tmp_path: Path) -> None:
     (tmp_path / file_name(timestamp(0.0), 1, 1)).mkdir()
     (tmp_path / file_name(timestamp(0.0), 2, 2)).symlink_to("file")
     assert kept_touches(tmp_path) == []
-
-
-def test_each_pad_has_a_folder_of_its_own() -> None:
-    assert folder_of(Path("/var/events.jsonl")) == Path("/var/events.jsonl.touches")
-    assert folder_of(Path("/var/events.jsonl"), "head") == Path("/var/events.jsonl.head.touches")
 
 
 def test_other_pads_and_forgotten_frames_are_not_kept(store: TouchStore, tmp_path: Path) -> None:
