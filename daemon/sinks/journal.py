@@ -11,7 +11,6 @@ from touchd.daemon.app.config import JournalSettings
 from touchd.daemon.path.events import Event, encode
 from touchd.daemon.sinks.sink import QueuedSink
 from touchd.drivers.errors import TouchdError, os_errors_as
-from touchd.drivers.faults import FaultLog
 
 log = logging.getLogger(__name__)
 
@@ -26,24 +25,27 @@ class JournalError(TouchdError):
     """The journal cannot be opened; the message is one line that says why."""
 
 
-class Journal:
-    """Appends lines to a file. On a full disk lines are lost, with one warning, and the daemon goes on.
+class Journal(QueuedSink[Event]):
+    """Appends each event to a file as a line of JSON. On a full disk lines are lost, with one warning.
 
     path: the file; older ones are path.1 (the newest) to path.`keep`. max_bytes: size at which a new file is
     begun. Only one process may write a journal. Raises JournalError if the file cannot be opened or is no
     journal.
     """
 
-    def __init__(self, path: Path, *, max_bytes: int, keep: int) -> None:
+    def __init__(self, path: Path, *, max_bytes: int = MAX_BYTES, keep: int = OLDER) -> None:
+        super().__init__("journal", log)
         self._max_bytes = max_bytes
         self._keep = keep
-        self._faults = FaultLog(log)
         self.lost = 0
         advice = "give another journal.path, or null"
         with os_errors_as(JournalError, f"journal {path}: cannot be written", advice):
             # Resolve symlinks, so that rotation stays on the target's disk.
             self._path = Path(os.path.realpath(path))
             self._fd = _open(self._path)
+
+    def write(self, item: Event) -> None:
+        self.append(encode(item))
 
     def append(self, line: bytes) -> None:
         """Write one line, given without its newline; when that fails it is counted in `lost`."""
@@ -55,20 +57,21 @@ class Journal:
             if size and size + len(line) + 1 > self._max_bytes:
                 self._rotate()
                 size = os.fstat(self._fd).st_size
-            self._write(line + b"\n", size)
+            if os.write(self._fd, line + b"\n") <= len(line):
+                os.ftruncate(self._fd, size)
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         except (JournalError, OSError) as error:
             self.lost += 1
-            cause = f"journal {self._path}: {error.strerror}" if isinstance(error, OSError) else str(error)
+            cause = f"{self._path}: {error.strerror}" if isinstance(error, OSError) else str(error)
             self._faults.begin("lost", f"{cause}; events cannot be saved", cause=cause)
         else:
-            self._faults.end("lost", f"journal {self._path}: works again; {self.lost} events were lost")
+            self._faults.end("lost", f"{self._path}: works again; {self.lost} events were lost")
 
-    def _is_there(self) -> bool:
-        """Whether the path still leads to the open file; raises OSError when that cannot be found out."""
-        try:
-            return os.path.samestat(os.stat(self._path), os.fstat(self._fd))
-        except FileNotFoundError:
-            return False
+    def stop(self, timeout_s: float) -> None:
+        super().stop(timeout_s)
+        # If the disk hangs, the thread may still write: leave the file open.
+        if not self._thread.is_alive():
+            self.close()
 
     def close(self) -> None:
         """Close the file; further lines are lost."""
@@ -76,11 +79,12 @@ class Journal:
             os.close(self._fd)
             self._fd = -1
 
-    def _write(self, data: bytes, size: int) -> None:
-        written = os.write(self._fd, data)
-        if written < len(data):
-            os.ftruncate(self._fd, size)
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    def _is_there(self) -> bool:
+        """Whether the path still leads to the open file; raises OSError when that cannot be found out."""
+        try:
+            return os.path.samestat(os.stat(self._path), os.fstat(self._fd))
+        except FileNotFoundError:
+            return False
 
     def _rotate(self) -> None:
         # If an earlier attempt moved the files but could not open the new one, do not move them again.
@@ -102,30 +106,13 @@ def journal_files(path: Path, keep: int = OLDER) -> list[Path]:
     return [path, *(path.with_name(f"{path.name}.{number}") for number in range(1, keep + 1))]
 
 
-class JournalSink(QueuedSink[Event]):
-    """Writes each event to the journal as a line of JSON, and closes the journal when it stops."""
-
-    def __init__(self, journal: Journal) -> None:
-        super().__init__("journal")
-        self.journal = journal
-
-    def write(self, item: Event) -> None:
-        self.journal.append(encode(item))
-
-    def stop(self, timeout_s: float) -> None:
-        super().stop(timeout_s)
-        # If the disk hangs, the thread may still write: leave the file open.
-        if not self._thread.is_alive():
-            self.journal.close()
-
-
-def open_journal(settings: JournalSettings) -> JournalSink:
+def open_journal(settings: JournalSettings) -> Journal:
     """Return the configured journal; raises JournalError. The default folder is made if it is missing."""
     path = settings.file
     if settings.path is None:
         with os_errors_as(JournalError, f"journal {path}: cannot be written", "set journal: null"):
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-    return JournalSink(Journal(path, max_bytes=MAX_BYTES, keep=OLDER))
+    return Journal(path)
 
 
 def _open(path: Path) -> int:

@@ -40,7 +40,7 @@ from touchd.daemon.live.server import open_live_page
 from touchd.daemon.path.events import Event, TouchEnded, encode
 from touchd.daemon.path.pipeline import Pipeline
 from touchd.daemon.robot.sink import RobotSink
-from touchd.daemon.sinks.journal import Journal, JournalSink
+from touchd.daemon.sinks.journal import Journal
 from touchd.daemon.sinks.touch_store import (
     EndedTouch,
     KeptTouch,
@@ -134,7 +134,6 @@ class Soak:
         model = load_model(settings)
         self._parser = FrameParser(settings.sensor.described)
         self._journal = Journal(self._path, max_bytes=JOURNAL_BYTES, keep=JOURNAL_KEEP)
-        self._journal_sink = JournalSink(self._journal)
         self._link = RobotLink(RobotSettings(url=self.robot.url), open_session=self.robot.open_session)
         self._store = PromptStore(folder_of(self._path), TOUCHES_KEPT, description_of(settings.sensor))
         self._touch_sink = TouchSink({"pad": self._store})
@@ -144,7 +143,7 @@ class Soak:
         mqtt = MqttSettings(host="127.0.0.1", port=self.broker.port, discovery=None)
         self._bridges = make_bridges(Settings(mqtt=mqtt), {"pad": model})
         self._sinks = (
-            self._journal_sink,
+            self._journal,
             robot_sink,
             self._touch_sink,
             self._live_sink,
@@ -265,7 +264,7 @@ class Soak:
             "the journal holds the latest events and stays within its bound": (
                 [entry.rstrip() for entry in written.splitlines()[-len(latest) :]] == latest
                 and len(written) <= JOURNAL_BYTES * (JOURNAL_KEEP + 1)
-                and self._journal.lost + self._journal_sink.dropped == 0
+                and self._journal.lost + self._journal.dropped == 0
             ),
             "the last touches are kept, no more than asked for, and can be read": (
                 len(kept) == min(TOUCHES_KEPT, self.audit.touches)

@@ -22,7 +22,7 @@ from touchd.daemon.app.config import JournalSettings, Settings
 from touchd.daemon.path.events import Event, RobotAction, SensorEvent, encode
 from touchd.daemon.path.service import Service
 from touchd.daemon.robot.sink import RobotSink
-from touchd.daemon.sinks.journal import Journal, JournalError, JournalSink
+from touchd.daemon.sinks.journal import Journal, JournalError
 from touchd.daemon.sinks.sink import EventFanout, LinesSink, QueuedSink
 from touchd.daemon.sinks.touches import decode
 from touchd.drivers.robot.link import RobotLink
@@ -145,7 +145,7 @@ def test_the_robot_stops_first_so_its_last_acts_are_told(
     def noted(stop: Callable[..., None]) -> Callable[..., None]:
         return lambda sink, timeout_s: (stopped.append(type(sink).__name__), stop(sink, timeout_s))[1]
 
-    for kind in (RobotSink, JournalSink, LinesSink):
+    for kind in (RobotSink, Journal, LinesSink):
         monkeypatch.setattr(kind, "stop", noted(kind.stop))
     settings = Settings(
         robot=RobotSettings(url="tcp://127.0.0.1:1"), journal=JournalSettings(path=str(tmp_path / "events"))
@@ -154,7 +154,7 @@ def test_the_robot_stops_first_so_its_last_acts_are_told(
     service.tell(LinesSink("stdout", 1, encode))
     service.run(lambda: True)
     assert stopped[0] == "RobotSink"
-    assert sorted(stopped[1:]) == ["JournalSink", "LinesSink"]
+    assert sorted(stopped[1:]) == ["Journal", "LinesSink"]
 
 
 def test_states_outlast_events_in_a_full_queue(pipe: tuple[int, int]) -> None:
@@ -183,7 +183,7 @@ def test_a_broken_pipe_is_reported_once_and_ends_the_sink(pipe: tuple[int, int])
 
 
 def test_stopping_writes_what_is_queued_and_may_be_repeated(tmp_path: Path) -> None:
-    sink = JournalSink(Journal(tmp_path / "events.jsonl", max_bytes=10_000_000, keep=1))
+    sink = Journal(tmp_path / "events.jsonl")
     sink.start()
     for number in range(200):
         sink.put(touch(number))

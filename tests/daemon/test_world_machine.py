@@ -46,7 +46,7 @@ from touchd.daemon.path.monitor import PadMonitor
 from touchd.daemon.path.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.daemon.playback.rig import encoder_for
 from touchd.daemon.robot.sink import RobotSink
-from touchd.daemon.sinks.journal import Journal, JournalSink
+from touchd.daemon.sinks.journal import Journal
 from touchd.daemon.sinks.sink import EventFanout
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import SensorState
@@ -153,7 +153,7 @@ class World(RuleBasedStateMachine):
             ),
         )
         self.fanout = EventFanout()
-        journal = JournalSink(Journal(self.path, max_bytes=20_000, keep=1))
+        journal = Journal(self.path, max_bytes=20_000, keep=1)
         self.fanout.sinks = (journal, self.page, *self.bridges, RobotSink(link))
         for sink in (*self.fanout.sinks, self.log):
             sink.start()
