@@ -1,11 +1,12 @@
 """The base class of bridges: a bounded queue, a limited frame rate, a connection that is kept open."""
 
 import logging
+import math
 import threading
 import time
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 from touchd.daemon.path.events import Event
 from touchd.daemon.sinks.sink import QueuedSink
@@ -39,13 +40,6 @@ def kind_of(event: Event) -> str:
     return str(event.__struct_config__.tag)
 
 
-class Queued(NamedTuple):
-    """An item in a bridge's queue, and when it was put there."""
-
-    item: Item
-    since_s: float
-
-
 class Bridge(QueuedSink[Any]):
     """Sends the events of one or several pads to another system, and their frames if configured.
 
@@ -53,19 +47,16 @@ class Bridge(QueuedSink[Any]):
     for STALE_S and frames are dropped. Other pads' events are ignored.
     frames_hz: at most this many frames a second for each pad; math.inf: all frames; None: none.
     where: the peer's address, for the log. limit: of what the peer may send over the present connection.
-    refused: number of messages that the peer refused.
     """
 
     def __init__(self, name: str, pads: Sequence[str], frames_hz: float | None, where: str) -> None:
         self.pads = frozenset(pads)
         self.frames_hz = frames_hz
-        self.refused = 0
         self.limit = PeerLimit()
         self._where = where
-        self._connection_number = 0
         self._next_frame_s = dict.fromkeys(pads, 0.0)
         self._peer_is_there = threading.Event()
-        self._there_since_s = 0.0
+        self._there_since_s = math.inf
         self._backoff = Backoff(BACKOFF_FIRST_S, BACKOFF_CAP_S)
         self._ending = threading.Event()
         self._keeper = threading.Thread(target=self._keep_connected, name=f"touchd-{name}-link", daemon=True)
@@ -100,7 +91,7 @@ class Bridge(QueuedSink[Any]):
     def put(self, item: Item) -> None:
         """Queue an event of these pads or of the robot; never blocks."""
         if isinstance(item, tuple) or getattr(item, "pad", None) in {None, *self.pads}:
-            super().put(Queued(item, time.monotonic()))
+            super().put((item, time.monotonic()))
 
     def put_frame(self, frame: Frame, pad: str) -> None:
         """Queue a frame if one is due and the peer is connected; never blocks."""
@@ -109,26 +100,28 @@ class Bridge(QueuedSink[Any]):
         due_s, period_s = self._next_frame_s[pad], 1.0 / self.frames_hz
         if frame.host_s < due_s:
             return
-        # A late frame does not shift the schedule; after a pause, the schedule restarts.
-        is_late = frame.host_s - due_s < period_s
-        self._next_frame_s[pad] = (due_s if is_late else frame.host_s) + period_s
+        # A late frame does not shift the schedule; a pause does.
+        begin_s = due_s if frame.host_s - due_s < period_s else frame.host_s
+        self._next_frame_s[pad] = begin_s + period_s
         if len(self._items) < MOST_FRAMES * len(self.pads):
             self.put((frame, pad))
         else:
             self._items.dropped += 1
 
-    def write(self, queued: Queued) -> None:
+    def write(self, item: tuple[Item, float]) -> None:
         """Send one item; an event that is lost with its connection is sent again over the next."""
-        item, until_s = queued.item, queued.since_s + STALE_S
+        sent, since_s = item
         self.limit.sent()
-        if isinstance(item, tuple):
-            self.send_frame(*item)
+        if isinstance(sent, tuple):
+            self.send_frame(*sent)
             return
-        self.note(item)
-        tried = 0
-        while tried := self._await_connection(tried, until_s):
-            if self.send_event(item):
-                return
+        self.note(sent)
+        while time.monotonic() < since_s + STALE_S and not self._abandoned.is_set():
+            if self._peer_is_there.wait(POLL_S):
+                if self.send_event(sent):
+                    return
+                # The connection's thread notices soon that it has ended.
+                self._abandoned.wait(POLL_S)
         self._items.dropped += 1
 
     def close(self) -> None:
@@ -139,35 +132,18 @@ class Bridge(QueuedSink[Any]):
 
     def connected(self) -> None:
         """Note that the peer is connected, so that events can be sent."""
-        self._connection_number += 1
-        self._there_since_s = time.monotonic()
+        is_first, self._there_since_s = math.isinf(self._there_since_s), time.monotonic()
         self._peer_is_there.set()
-        if not self._faults.end("away", f"connected to {self._where}") and self._connection_number == 1:
+        if not self._faults.end("away", f"connected to {self._where}") and is_first:
             self._log.info("%s: connected to %s", self.name, self._where)
 
     def note_refused(self, why: str) -> None:
-        """Count a message that the peer refused, and log why."""
-        self.refused += 1
+        """Log that the peer refused a message, and why."""
         self._faults.begin("refused", f"the peer refused something ({why})", cause=why)
-
-    def is_over(self, connection: int) -> bool:
-        """Whether this connection, by its number, has ended."""
-        return connection != self._connection_number or not self._peer_is_there.is_set()
 
     def _run(self) -> None:
         super()._run()
         self.close()
-        if self.refused > 1:
-            self._log.warning("%s: %d messages were refused in all", self.name, self.refused)
-
-    def _await_connection(self, after: int, until_s: float) -> int:
-        """Wait for a connection other than number `after`; return its number, 0 if none came in time."""
-        while not self._abandoned.is_set() and time.monotonic() < until_s:
-            if self._peer_is_there.wait(POLL_S) and self._connection_number != after:
-                return self._connection_number
-            if self._peer_is_there.is_set():
-                self._abandoned.wait(POLL_S)
-        return 0
 
     def _keep_connected(self) -> None:
         while not self._ending.is_set():

@@ -61,7 +61,8 @@ class MqttBridge(Bridge):
         # With the same name, a new connection replaces a lost one, whose last will the broker still holds. By
         # its random end, the clients of cloned computers do not end each other's connections.
         self._client_id = entity_of(f"touchd_{socket.gethostname()}_{self._topic}_{secrets.token_hex(4)}")
-        self._version = MQTTProtocolVersion.MQTTv5
+        # The first is tried next.
+        self._versions = [MQTTProtocolVersion.MQTTv5, MQTTProtocolVersion.MQTTv311]
         self._client: _Client | None = None
         # Raises what is wrong with the files now; each connection reads them again.
         self._log_in(mqtt.Client(CallbackAPIVersion.VERSION2))
@@ -70,7 +71,7 @@ class MqttBridge(Bridge):
         super().__init__("mqtt", [pad], settings.pressure_hz, where)
 
     def hold(self) -> str:
-        client = _Client(self._client_id, self._version, self.limit, self._ending)
+        client = _Client(self._client_id, self._versions[0], self.limit, self._ending)
         client.will_set(f"{self._topic}/state", LOST, qos=1, retain=True)
         self._log_in(client)
         client.on_connect = self._on_connect
@@ -81,8 +82,7 @@ class MqttBridge(Bridge):
         while client.loop() == MQTTErrorCode.MQTT_ERR_SUCCESS:
             pass
         if not client.is_greeted:
-            is_5 = self._version == MQTTProtocolVersion.MQTTv5
-            self._version = MQTTProtocolVersion.MQTTv311 if is_5 else MQTTProtocolVersion.MQTTv5
+            self._versions.reverse()
         return client.why
 
     def hang_up(self) -> None:
@@ -92,27 +92,22 @@ class MqttBridge(Bridge):
     def note(self, event: Event) -> None:
         """Publish what is retained as it changes, even when the event itself has become stale."""
         with self._retaining:
-            was_touched = self._is_touched
+            before = self._state, self._is_touched
             match event:
                 case SensorEvent():
                     self._state = event.state
-                    self._is_touched = was_touched and event.state != "down"
+                    self._is_touched &= event.state != "down"
                 case TouchBegan():
                     self._is_touched = True
                 case TouchEnded():
                     self._is_touched = False
-            # On the next connection all of it is published.
-            client = self._client
-            if client is None or not self._peer_is_there.is_set():
-                return
-            if isinstance(event, SensorEvent):
-                self._publish_state(client)
-            if self._is_touched != was_touched:
-                self._publish_touched(client)
+            # On the next connection it is published in any case.
+            if before != (self._state, self._is_touched) and self._peer_is_there.is_set() and self._client:
+                self._publish_values(self._client)
 
     def send_event(self, event: Event) -> bool:
         client = self._client
-        return client is not None and self._await(client.send(f"{self._topic}/event", encode(event)))
+        return client is not None and self._await(client, client.send(f"{self._topic}/event", encode(event)))
 
     def send_frame(self, frame: Frame, pad: str) -> None:
         client = self._client
@@ -122,7 +117,7 @@ class MqttBridge(Bridge):
     def close(self) -> None:
         if self._peer_is_there.is_set() and (client := self._client):
             self._state = STOPPED
-            self._await(self._publish_state(client))
+            self._await(client, self._publish_values(client))
         super().close()
 
     def _on_connect(
@@ -130,13 +125,14 @@ class MqttBridge(Bridge):
     ) -> None:
         assert isinstance(client, _Client)
         client.is_greeted = code.getName() != NO_MQTT_5
+        # paho calls this "Unspecified error".
+        client.why = _words(code, properties) if code.is_failure else "the connection was closed"
         if code.is_failure:
-            client.why = _words(code, properties)
             return
         if self._settings.discovery is not None:
             client.subscribe(f"{self._settings.discovery}/status")
         with self._retaining:
-            self._publish_retained(client)
+            self._announce(client)
             self.connected()
 
     def _on_publish(
@@ -151,31 +147,28 @@ class MqttBridge(Bridge):
         assert isinstance(client, _Client)
         if message.payload == HOME_ASSISTANT_IS_THERE:
             with self._retaining:
-                self._publish_retained(client)
+                self._announce(client)
 
-    def _publish_retained(self, client: "_Client") -> None:
+    def _announce(self, client: "_Client") -> None:
+        """Publish all that is retained."""
         if self._settings.discovery is not None:
             for topic, payload in announcements(self._settings.discovery, self._topic, self._labels).items():
                 client.send(topic, payload, retain=True)
-        self._publish_touched(client)
-        self._publish_state(client)
+        self._publish_values(client)
 
-    def _publish_touched(self, client: "_Client") -> None:
+    def _publish_values(self, client: "_Client") -> mqtt.MQTTMessageInfo:
         if self._settings.discovery is not None:
             client.send(f"{self._topic}/touched", b"ON" if self._is_touched else b"OFF", retain=True)
-
-    def _publish_state(self, client: "_Client") -> mqtt.MQTTMessageInfo:
         return client.send(f"{self._topic}/state", self._state.encode(), retain=True)
 
-    def _await(self, info: mqtt.MQTTMessageInfo) -> bool:
+    def _await(self, client: "_Client", info: mqtt.MQTTMessageInfo) -> bool:
         """Wait until the broker has acknowledged or refused a message; False if the connection ends first."""
-        connection = self._connection_number
         while info.rc == MQTTErrorCode.MQTT_ERR_SUCCESS and not self._abandoned.is_set():
             info.wait_for_publish(POLL_S)
             if info.is_published():
                 return True
-            if self.is_over(connection):
-                return False
+            if client is not self._client or not self._peer_is_there.is_set():
+                break
         return False
 
     def _log_in(self, client: mqtt.Client) -> None:
@@ -201,7 +194,8 @@ class _Client(mqtt.Client):
     ) -> None:
         # The bridge connects again, with a client that holds nothing of a lost connection.
         super().__init__(CallbackAPIVersion.VERSION2, name, protocol=version, reconnect_on_failure=False)
-        self.is_greeted, self.why = False, ""
+        self.is_greeted = False
+        self.why = "the connection was closed before a greeting: is it a broker, and does it want TLS?"
         self.topics: dict[int, str] = {}
         self._limit, self._stopping = limit, stopping
         self.on_disconnect = self._on_end
@@ -238,11 +232,6 @@ class _Client(mqtt.Client):
             self.why = "it sends more than touchd asks for"
         elif flags.is_disconnect_packet_from_server or code.getName() == "Keep alive timeout":
             self.why = _words(code, properties)
-        elif not self.why and self.is_greeted:
-            # paho reports only "Unspecified error" here.
-            self.why = "the connection was closed"
-        elif not self.why:
-            self.why = "the connection was closed before a greeting: is it a broker, and does it want TLS?"
 
 
 def _words(code: ReasonCode, properties: Properties | None) -> str:

@@ -250,7 +250,7 @@ def test_rosbridge_gets_the_topics_before_the_messages(tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.frombuffer(pixels, "<u2").reshape(8, 8), frame(2).pressure)
 
 
-def test_messages_that_a_rosbridge_refuses_are_counted_and_logged_once(
+def test_messages_that_a_rosbridge_refuses_are_logged_once(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     pytest.importorskip("websockets")
@@ -272,9 +272,7 @@ def test_messages_that_a_rosbridge_refuses_are_counted_and_logged_once(
         for number in range(20):
             bridge.put(touch(number))
             time.sleep(0.02)
-        wait_for(lambda: bridge.refused >= 5)
+        wait_for(lambda: "refused" in caplog.text)
         bridge.stop(2.0)
-    said = [line for line in caplog.messages if "refused" in line]
-    assert len(said) == 2
-    assert said[0].startswith("rosbridge: the peer refused something (publish: not allowed")
-    assert said[1].endswith("messages were refused in all")
+    (said,) = (line for line in caplog.messages if "refused" in line)
+    assert said.startswith("rosbridge: the peer refused something (publish: not allowed")

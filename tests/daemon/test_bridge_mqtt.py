@@ -291,7 +291,7 @@ def test_home_assistants_start_is_answered(port: int, opened: Open) -> None:
         wait_for(lambda: {message.topic for message in messages} >= {ANNOUNCED, "touchd/pad/state"})
 
 
-def test_what_a_broker_refuses_is_counted_and_named(
+def test_what_a_broker_refuses_is_named_once(
     tmp_path: Path, opened: Open, caplog: pytest.LogCaptureFixture
 ) -> None:
     (tmp_path / "acl").write_text("topic read #\ntopic write touchd/pad/state\n")
@@ -300,11 +300,9 @@ def test_what_a_broker_refuses_is_counted_and_named(
         bridge = opened(port)
         for number in range(20):
             bridge.put(touch(number))
-        wait_for(lambda: bridge.refused == 20)
-        bridge.stop(2.0)
-    said = [line for line in caplog.messages if "refused" in line]
-    assert said[0] == "mqtt: the peer refused something (touchd/pad/event: Not authorized)"
-    assert said[1:] == ["mqtt: 20 messages were refused in all"]
+        bridge.stop(WITHIN_S)
+    refused = "mqtt: the peer refused something (touchd/pad/event: Not authorized)"
+    assert [line for line in caplog.messages if "refused" in line] == [refused]
 
 
 def test_a_broker_without_mqtt_5_gets_mqtt_3(opened: Open) -> None:
@@ -314,7 +312,7 @@ def test_a_broker_without_mqtt_5_gets_mqtt_3(opened: Open) -> None:
         bridge.put(touch(1))
         wait_for(bridge._peer_is_there.is_set)
         bridge.stop(2.0)
-    assert (bridge.dropped, bridge.refused) == (0, 0)
+    assert bridge.dropped == 0
     # The first connection was refused: it spoke MQTT 5.
     assert connections == [2]
 
