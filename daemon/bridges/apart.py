@@ -5,9 +5,9 @@ process may grow by MOST_MB. Beyond that it ends, and the daemon keeps running a
 `python -m touchd.daemon.bridges.apart` is that process.
 """
 
-import logging
 import math
 import os
+import pickle
 import resource
 import select
 import signal
@@ -17,16 +17,13 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
-import msgspec
-import numpy as np
-
-from touchd.daemon.bridges.bridge import GOODBYE_S, POLL_S, STALE_S, Bridge, BridgeError
+from touchd.daemon.bridges.bridge import GOODBYE_S, POLL_S, STALE_S, Bridge, BridgeError, Item
 from touchd.daemon.bridges.settings import LslSettings, Ros2Settings
-from touchd.daemon.path.events import Event, encode
+from touchd.daemon.path.events import Event
 from touchd.drivers.faults import Backoff
-from touchd.drivers.frame import COLUMNS, ROWS, Frame
+from touchd.drivers.frame import Frame
 
 MOST_MB = 16
 # liblsl starts a thread for each listener; with the usual 8 MB of stack each, a few would exceed MOST_MB.
@@ -35,22 +32,10 @@ PROGRAM = (sys.executable, "-m", "touchd.daemon.bridges.apart")
 # Reserve less memory that is never used; import no module from the working folder.
 ENVIRONMENT = {"MALLOC_ARENA_MAX": "2", "OPENBLAS_NUM_THREADS": "1", "PYTHONSAFEPATH": "1"}
 READY = "ready"
-OUT_OF_MEMORY = 3
 # A start takes half a second of a core.
 FIRST_RETRY_S, LONGEST_RETRY_S = 0.2, 10.0
 # Of what the process logs at once: DDS logs each packet that it cannot read.
 MOST_LINES = 40
-# How liblsl marks its lines that warn of nothing.
-NO_WARNING = "INFO|"
-
-
-class FrameLine(msgspec.Struct, frozen=True, tag_field="type", tag="frame"):
-    """A frame of a pad, as the daemon sends it to the process."""
-
-    pad: str
-    sensor_ms: int
-    host_s: float
-    pressure: list[int]
 
 
 class Outlet(Protocol):
@@ -90,7 +75,7 @@ class ApartBridge(Bridge):
                 process.wait(GOODBYE_S)
             finally:
                 process.kill()
-        if process.returncode < 0 or process.returncode == OUT_OF_MEMORY:
+        if process.returncode < 0:
             return f"it ended: others on the network may have sent more than {MOST_MB} MB"
         return last or f"it ended with code {process.returncode}"
 
@@ -100,20 +85,19 @@ class ApartBridge(Bridge):
             self._process.kill()
 
     def send_event(self, event: Event) -> bool:
-        return self._write(encode(event))
+        return self._write(event)
 
     def send_frame(self, frame: Frame, pad: str) -> None:
-        numbers = frame.pressure.ravel().tolist()
-        self._write(msgspec.json.encode(FrameLine(pad, frame.sensor_ms, frame.host_s, numbers)))
+        self._write((frame, pad))
 
     def hang_up(self) -> None:
         if self._process is not None and self._process.stdin is not None:
             with suppress(OSError):
                 self._process.stdin.close()
 
-    def _write(self, line: bytes) -> bool:
-        """Write a line; return False if the process has ended, or if the daemon is stopping."""
-        process, data = self._process, line + b"\n"
+    def _write(self, item: Item) -> bool:
+        """Write an item; return False if the process has ended, or if the daemon is stopping."""
+        process, data = self._process, pickle.dumps(item)
         if process is None or process.stdin is None:
             return False
         try:
@@ -138,8 +122,7 @@ class ApartBridge(Bridge):
                 if last == READY:
                     self.connected()
                 else:
-                    level = logging.INFO if NO_WARNING in last else logging.WARNING
-                    self._log.log(level, "%s: %s", self.name, last)
+                    self._log.info("%s: %s", self.name, last)
         return last
 
 
@@ -159,7 +142,7 @@ def main(arguments: Sequence[str]) -> int:
         return 1
     except MemoryError:
         # Python may lack the memory to end in order.
-        os._exit(OUT_OF_MEMORY)
+        signal.raise_signal(signal.SIGKILL)
     return 0
 
 
@@ -179,15 +162,17 @@ def _publish(outlets: Mapping[str, Outlet]) -> None:
     _limit_memory()
     sys.stderr.write(f"{READY}\n")
     sys.stderr.flush()
-    for line in sys.stdin.buffer:
-        item: Any = msgspec.json.decode(line, type=Event | FrameLine)
-        if not isinstance(item, FrameLine):
-            for pad in [item.pad] if hasattr(item, "pad") else outlets:
-                outlets[pad].send_event(item)
-        # A slow reader delays frames, and must not delay the events behind them.
-        elif time.monotonic() - item.host_s < STALE_S:
-            pressure = np.array(item.pressure, np.uint16).reshape(ROWS, COLUMNS)
-            outlets[item.pad].send_frame(Frame(item.sensor_ms, item.host_s, pressure))
+    # Half an item: the daemon has stopped, or was killed.
+    with suppress(EOFError, pickle.UnpicklingError):
+        while True:
+            item: Item = pickle.load(sys.stdin.buffer)
+            if not isinstance(item, tuple):
+                for pad in [item.pad] if hasattr(item, "pad") else outlets:
+                    outlets[pad].send_event(item)
+            # A slow reader delays frames, and must not delay the events behind them.
+            elif time.monotonic() - item[0].host_s < STALE_S:
+                frame, pad = item
+                outlets[pad].send_frame(frame)
 
 
 def _limit_memory() -> None:
