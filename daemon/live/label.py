@@ -1,13 +1,14 @@
 """Messages from viewers on this computer who say what a touch was (`live.label`)."""
 
 import ipaddress
-from collections.abc import Callable
+from collections.abc import Mapping
 from typing import Annotated
 
 import msgspec
 from websockets.asyncio.server import ServerConnection, broadcast
 
-from touchd.daemon.path.events import Count, TouchBegan
+from touchd.daemon.live.memory import Memory
+from touchd.daemon.path.events import Count
 from touchd.daemon.sinks.labels import LabelError, Labeller
 
 # A web server in front of the page hides where a viewer is; it adds one of these.
@@ -32,13 +33,11 @@ _decode = msgspec.json.Decoder(_Said).decode
 
 
 class Labels:
-    """Takes labels from viewers on this computer. find: returns the beginning of a pad's touch, if shown."""
+    """Takes labels from viewers on this computer. pads: whose touches are shown."""
 
-    MOST_MESSAGE_BYTES = 512
-
-    def __init__(self, labeller: Labeller, find: Callable[[str, int], TouchBegan | None]) -> None:
+    def __init__(self, labeller: Labeller, pads: Mapping[str, Memory]) -> None:
         self._labeller = labeller
-        self._find = find
+        self._pads = pads
 
     def take(self, viewer: ServerConnection, message: str | bytes) -> str:
         """Emit the label in a viewer's message; returns why the message is refused, or ""."""
@@ -48,7 +47,7 @@ class Labels:
             said = _decode(message)
         except (msgspec.DecodeError, UnicodeDecodeError):
             return "not a label"
-        touch = self._find(said.pad, said.touch)
+        touch = self._pads[said.pad].find(said.touch) if said.pad in self._pads else None
         if touch is None:
             return "no such touch"
         try:

@@ -10,7 +10,7 @@ import socket
 import threading
 from collections.abc import Mapping
 from contextlib import suppress
-from typing import TYPE_CHECKING, Protocol, TypeAlias
+from typing import Protocol, TypeAlias
 
 import msgspec
 from websockets.asyncio.server import ServerConnection, serve
@@ -19,16 +19,15 @@ from websockets.frames import CloseCode
 
 from touchd.daemon.app.config import LiveSettings, Settings
 from touchd.daemon.live.address import listen, own_names, urls_of
+from touchd.daemon.live.label import Labels
 from touchd.daemon.live.memory import Memory, Scene
 from touchd.daemon.live.page import Page
 from touchd.daemon.live.viewers import Door, Viewers
-from touchd.daemon.path.events import Event, LivePrediction, RobotEvent, TouchBegan
+from touchd.daemon.path.events import Event, LivePrediction, RobotEvent
+from touchd.daemon.sinks.labels import Labeller
 from touchd.drivers.frame import DEFAULT_PAD, Frame
 from touchd.drivers.queue import DroppingQueue
 from touchd.model.classifier import Classifier
-
-if TYPE_CHECKING:
-    from touchd.daemon.sinks.labels import Labeller
 
 log = logging.getLogger(__name__)
 
@@ -37,7 +36,7 @@ CAPACITY = 540
 STATUS_EVERY_S = 0.5
 # Connections of any kind, including those for files and idle ones.
 MOST_CONNECTIONS = 64
-MOST_HEARD_BYTES = 64
+MOST_MESSAGE_BYTES = 512
 HANDSHAKE_S = 5.0
 PING_EVERY_S = 5.0
 GOODBYE_S = 0.2
@@ -57,8 +56,6 @@ class Status(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="s
 class Messages(Protocol):
     """Receives what viewers send."""
 
-    MOST_MESSAGE_BYTES: int
-
     def take(self, viewer: ServerConnection, message: str | bytes) -> str:
         """Take a viewer's message; returns why it is refused, or ""."""
 
@@ -76,17 +73,13 @@ class LiveServer:
         settings: LiveSettings,
         scenes: Scenes,
         touching: Messages | None = None,
-        labeller: "Labeller | None" = None,
+        labeller: Labeller | None = None,
     ) -> None:
         self.listening = listening
         self.settings = settings
         self._pads = {name: Memory(scene) for name, scene in scenes.items()}
         self._is_touchable = touching is not None
-        self._messages = touching
-        if labeller is not None:
-            from touchd.daemon.live.label import Labels
-
-            self._messages = Labels(labeller, self._find)
+        self._messages = Labels(labeller, self._pads) if labeller else touching
         self._page = Page(own_names(settings))
         self._viewers = Viewers(self._state)
         self._items: DroppingQueue[Item] = DroppingQueue(CAPACITY, _may_drop)
@@ -153,7 +146,6 @@ class LiveServer:
     async def _serve(self) -> None:
         # Keep clients' connects and errors out of the daemon's log.
         logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
-        most_bytes = self._messages.MOST_MESSAGE_BYTES if self._messages else MOST_HEARD_BYTES
         door = Door(MOST_CONNECTIONS)
         server = await serve(
             self._watch,
@@ -166,16 +158,15 @@ class LiveServer:
             ping_interval=PING_EVERY_S,
             ping_timeout=PING_EVERY_S,
             close_timeout=GOODBYE_S,
-            max_size=most_bytes,
+            max_size=MOST_MESSAGE_BYTES,
             max_queue=1,
         )
         status = asyncio.create_task(self._tell_status())
         await self._stopping.wait()
         status.cancel()
         server.close()
-        closed = asyncio.create_task(server.wait_closed())
-        await asyncio.wait([closed, status], timeout=GOODBYE_S)
         door.shut()
+        closed = asyncio.create_task(server.wait_closed())
         await asyncio.wait([closed, status], timeout=GOODBYE_S)
 
     async def _watch(self, connection: ServerConnection) -> None:
@@ -183,21 +174,16 @@ class LiveServer:
         if not self._viewers.add(connection):
             await connection.close(CloseCode.TRY_AGAIN_LATER, "too many are looking already")
             return
+        refused = ""
         try:
             with suppress(ConnectionClosed):
-                why = await self._follow_messages(connection)
-                await connection.close(CloseCode.POLICY_VIOLATION, why)
+                while not refused:
+                    message = await connection.recv()
+                    takes = self._messages
+                    refused = takes.take(connection, message) if takes else "nothing is read here"
+                await connection.close(CloseCode.POLICY_VIOLATION, refused)
         finally:
             self._viewers.discard(connection)
-
-    async def _follow_messages(self, connection: ServerConnection) -> str:
-        """Receive what a viewer sends, if viewers may; return why its connection must be closed."""
-        while True:
-            message = await connection.recv()
-            if self._messages is None:
-                return "nothing is read here"
-            if refused := self._messages.take(connection, message):
-                return refused
 
     async def _tell_status(self) -> None:
         while True:
@@ -235,10 +221,6 @@ class LiveServer:
         stamp, pads = self._page.stamp, list(self._pads)
         return [encode_message(self._pads[pad].state(stamp, pad, pads, self._is_touchable)) for pad in pads]
 
-    def _find(self, pad: str, touch: int) -> TouchBegan | None:
-        """Return the beginning of a touch that the page shows."""
-        return self._pads[pad].find(touch) if pad in self._pads else None
-
 
 def _may_drop(item: Item) -> bool:
     """Whether the item may be dropped: a later viewer does not need it."""
@@ -255,7 +237,7 @@ def encode_message(message: msgspec.Struct | dict[str, object]) -> str:
 
 
 def open_live_page(
-    settings: Settings, models: Mapping[str, Classifier], labeller: "Labeller | None" = None
+    settings: Settings, models: Mapping[str, Classifier], labeller: Labeller | None = None
 ) -> LiveServer:
     """Return the server of the configured live page; raises LiveError."""
     assert settings.live is not None, "no live page is configured"

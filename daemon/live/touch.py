@@ -18,7 +18,7 @@ from websockets.sync.client import connect
 from touchd.daemon.app.config import LiveSettings
 from touchd.daemon.live.memory import Scene
 from touchd.daemon.live.server import LiveServer
-from touchd.daemon.path.events import Event, LivePrediction
+from touchd.daemon.path.events import LivePrediction
 from touchd.drivers.fakes.pointers import Pointer, Size
 from touchd.drivers.frame import COLUMNS, DEFAULT_PAD, ROWS, Counts, Frame
 
@@ -59,8 +59,6 @@ class Touching:
     near_s: when one was last at the pad, pressing or about to.
     """
 
-    MOST_MESSAGE_BYTES = 512
-
     def __init__(self) -> None:
         self.near_s = -math.inf
         self._lock = threading.Lock()
@@ -93,7 +91,7 @@ class Touching:
         return {key: pointer for _, pressed in fresh.values() for key, pointer in pressed.items()}
 
 
-class TouchPage:
+class TouchPage(LiveServer):
     """The page of a simulated pad, served by this process.
 
     listening: the socket to serve. pad: the pad's scene; without a model the page shows the pad alone.
@@ -101,35 +99,26 @@ class TouchPage:
 
     def __init__(self, listening: socket.socket, settings: LiveSettings, pad: Scene) -> None:
         self.touching = Touching()
-        self._server = LiveServer(listening, settings, {DEFAULT_PAD: pad}, self.touching)
-        self._stopping = threading.Event()
+        super().__init__(listening, settings, {DEFAULT_PAD: pad}, self.touching)
 
-    def start(self) -> None:
-        self._server.start()
-
-    def stop(self) -> None:
-        self._stopping.set()
-        self._server.stop(STOP_S)
-
-    def put(self, event: Event) -> None:
-        self._server.put(event)
+    def stop(self, timeout_s: float = STOP_S) -> None:
+        super().stop(timeout_s)
 
     def show_frame(self, counts: Counts, sensor_ms: int) -> None:
-        self._server.put_frame(Frame(sensor_ms, time.monotonic(), counts), 0)
+        self.put_frame(Frame(sensor_ms, time.monotonic(), counts), 0)
 
     def follow(self, log: Path) -> None:
         """Show the live predictions of a daemon with its own page, whose address is in its log."""
         threading.Thread(target=self._relay, args=(log,), name="touchd-relay", daemon=True).start()
 
     def _relay(self, log: Path) -> None:
-        while not self._stopping.wait(RETRY_S):
+        while not self._is_stopping:
+            time.sleep(RETRY_S)
             with suppress(OSError, WebSocketException):
                 served = SERVED.search(log.read_text(errors="replace"))
                 if served is None:
                     continue
                 with connect(f"ws://{served[1]}/stream", compression=None) as viewer:
                     for message in viewer:
-                        if self._stopping.is_set():
-                            return
                         if isinstance(message, str) and json.loads(message)["type"] == "live_prediction":
-                            self._server.put(msgspec.json.decode(message, type=LivePrediction))
+                            self.put(msgspec.json.decode(message, type=LivePrediction))

@@ -7,12 +7,11 @@ from websockets.asyncio.server import ServerConnection, broadcast
 from websockets.protocol import State
 
 MOST_VIEWERS = 16
-# Backlog of frames for each viewer besides the kernel's buffer, about half a second of them.
+# Backlog from which on a viewer gets no frames, besides the kernel's buffer: about half a second of them.
 MOST_WAITING_FRAMES = 4096
-# Backlog of a viewer from which on it gets the whole state instead of events. A pad's state has some 50 kB.
-MOST_WAITING_BYTES = 256 * 1024
-# What may wait for a viewer that keeps sending: every ping is answered, whether or not the answers are read.
-MOST_UNREAD_BYTES = 1_000_000
+# Backlog at which a viewer is disconnected; its page connects again and gets the state. Sixteen pads' states
+# have some 800 kB.
+MOST_WAITING_BYTES = 1_000_000
 
 
 class Door:
@@ -38,7 +37,8 @@ class Door:
                     next(half_open, self).transport.abort()
 
             def data_received(self, data: bytes) -> None:
-                if _waiting_bytes(self) > MOST_UNREAD_BYTES:
+                # Every ping is answered, whether or not the answers are read.
+                if _waiting_bytes(self) > MOST_WAITING_BYTES:
                     self.transport.abort()
                 else:
                     super().data_received(data)
@@ -55,7 +55,7 @@ class Door:
 
 
 class Viewers:
-    """Sends to all viewers; a slow one misses frames, one far behind gets the whole state later.
+    """Sends to all viewers; a slow one misses frames, one far behind is disconnected.
 
     state: returns the whole state, one JSON text for each pad. Use in the event loop's thread only.
     """
@@ -63,7 +63,6 @@ class Viewers:
     def __init__(self, state: Callable[[], list[str]]) -> None:
         self._state = state
         self._all: set[ServerConnection] = set()
-        self._behind: set[ServerConnection] = set()
 
     def __len__(self) -> int:
         return len(self._all)
@@ -73,36 +72,24 @@ class Viewers:
         if len(self._all) >= MOST_VIEWERS:
             return False
         self._all.add(viewer)
-        self._behind.add(viewer)
-        self._catch_up()
+        for state in self._state():
+            broadcast([viewer], state)
         return True
 
     def discard(self, viewer: ServerConnection) -> None:
         self._all.discard(viewer)
-        self._behind.discard(viewer)
 
     def tell(self, message: str) -> None:
-        """Send a message that no viewer may miss; the state must already contain it."""
-        self._behind.update(viewer for viewer in self._all if _waiting_bytes(viewer) > MOST_WAITING_BYTES)
-        broadcast(self._all - self._behind, message)
-        self._catch_up()
+        """Send a message that no viewer may miss."""
+        for viewer in self._all:
+            if _waiting_bytes(viewer) > MOST_WAITING_BYTES:
+                viewer.transport.abort()
+        broadcast(self._all, message)
 
     def show(self, message: str | bytes) -> None:
         """Send a message that a slow viewer may miss."""
-        self._catch_up()
-        broadcast(_with_room(self._all - self._behind), message)
-
-    def _catch_up(self) -> None:
-        """Send the state to viewers that had fallen behind and have room again."""
-        if ready := _with_room(self._behind):
-            self._behind -= ready
-            for state in self._state():
-                broadcast(ready, state)
+        broadcast((one for one in self._all if _waiting_bytes(one) <= MOST_WAITING_FRAMES), message)
 
 
 def _waiting_bytes(viewer: ServerConnection) -> int:
     return viewer.transport.get_write_buffer_size()
-
-
-def _with_room(viewers: set[ServerConnection]) -> set[ServerConnection]:
-    return {viewer for viewer in viewers if _waiting_bytes(viewer) <= MOST_WAITING_FRAMES}

@@ -1,6 +1,5 @@
 """The live page's server: viewers get every event, and none of them slows the daemon."""
 
-import asyncio
 import json
 import socket
 import threading
@@ -9,18 +8,19 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 import msgspec
+import numpy as np
 import pytest
 from rigs.live_rig import HANDSHAKE, Served, frames_among, serving
 from rigs.made_events import PREDICTION, TIME
-from rigs.wait import SOON_S, WITHIN_S
-from websockets.asyncio import client, server
+from rigs.wait import WITHIN_S, wait_for
+from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection
 
 from touchd.daemon.app.config import Settings
 from touchd.daemon.commands.settings import load_model
+from touchd.daemon.live import viewers
 from touchd.daemon.live.memory import PREDICTIONS, TOUCHES, Memory, Scene
 from touchd.daemon.live.server import CAPACITY, LiveServer
-from touchd.daemon.live.viewers import Viewers
 from touchd.daemon.path.events import SensorEvent, TouchBegan, TouchEnded, encode
 
 BEGAN = TouchBegan(touch=1, time=TIME, sensor_ms=7)
@@ -89,11 +89,19 @@ def test_rate_and_drops_are_sent_repeatedly(served: Served, viewer: ClientConnec
     assert status["dropped"] == 0
 
 
-def test_a_stalled_viewer_does_not_affect_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
-    # It answers no ping while it reads nothing, which takes a busy machine longer than usual.
-    monkeypatch.setattr("touchd.daemon.live.server.PING_EVERY_S", WITHIN_S)
+@pytest.fixture
+def narrow() -> socket.socket:
+    """A socket for a viewer that reads nothing."""
     narrow = socket.socket()
     narrow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    return narrow
+
+
+def test_a_stalled_viewer_does_not_affect_the_others(
+    narrow: socket.socket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # It answers no ping while it reads nothing, which takes a busy machine longer than usual.
+    monkeypatch.setattr("touchd.daemon.live.server.PING_EVERY_S", WITHIN_S)
     with serving() as served, served.look(max_queue=None) as viewer:
         narrow.connect(("127.0.0.1", served.port))
         with served.look(sock=narrow, max_queue=1, ping_interval=None) as slow:
@@ -115,34 +123,27 @@ def test_a_stalled_viewer_does_not_affect_the_others(monkeypatch: pytest.MonkeyP
     assert encode(BEGAN).decode() in backlog
 
 
-def test_a_viewer_far_behind_gets_the_state_instead_of_events() -> None:
-    state, events = "state", [f"{number:09}" + "x" * 10_000 for number in range(200)]
+def test_a_viewer_far_behind_is_disconnected(narrow: socket.socket, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(viewers, "MOST_WAITING_BYTES", 100_000)
+    with serving() as served:
+        narrow.connect(("127.0.0.1", served.port))
+        with served.look(sock=narrow, max_queue=1, ping_interval=None):
+            wait_for(lambda: served.sink.is_watched)
+            for _ in range(CAPACITY // 2):
+                served.sink.put(msgspec.structs.replace(PAD_UP, reason="x" * 1000))
+            wait_for(lambda: not served.sink.is_watched)
 
-    async def of_a_slow_viewer() -> list[str | bytes]:
-        viewers = Viewers(lambda: [state])
 
-        async def looks(viewer: server.ServerConnection) -> None:
-            assert viewers.add(viewer)
-            for event in events:
-                viewers.tell(event)
-            while viewer.transport.get_write_buffer_size():
-                await asyncio.sleep(0.01)
-            viewers.tell("last")
-            await viewer.wait_closed()
-
-        narrow = socket.create_server(("127.0.0.1", 0))
-        narrow.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
-        url = f"ws://127.0.0.1:{narrow.getsockname()[1]}"
-        async with server.serve(looks, sock=narrow, compression=None), client.connect(url) as slow:
-            got = [await asyncio.wait_for(slow.recv(), SOON_S)]
-            while len(got) == 1 or got[-1] not in ("last", state):
-                got.append(await asyncio.wait_for(slow.recv(), SOON_S))
-            return got
-
-    first, *told, last = asyncio.run(of_a_slow_viewer())
-    assert (first, last) == (state, state)
-    assert told == events[: len(told)]
-    assert 0 < len(told) < len(events)
+def test_a_late_viewer_gets_the_pads_rest(served: Served) -> None:
+    for _ in range(60):
+        served.put_frame(np.full((8, 8), 100, np.uint16))
+    for _ in range(30):
+        served.put_frame(np.full((8, 8), 500, np.uint16))
+    served.sink.put(BEGAN)
+    with served.look() as viewer:
+        assert await_message(viewer, "touch_began")
+    with served.look() as late:
+        assert await_message(late, "state")["rest"] == [100.0] * 64
 
 
 def test_an_unresponsive_viewer_is_disconnected(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -192,4 +193,8 @@ def test_stopping_does_not_wait_for_viewers(served: Served, viewer: ClientConnec
         for _ in range(CAPACITY):
             served.put_frame()
         served.sink.stop(0.0)
-    assert [message for message in viewer if isinstance(message, bytes)] == []
+    shown: list[str | bytes] = []
+    with suppress(ConnectionClosed):
+        while True:
+            shown.append(viewer.recv(timeout=WITHIN_S))
+    assert [message for message in shown if isinstance(message, bytes)] == []

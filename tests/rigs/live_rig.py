@@ -9,13 +9,12 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from rigs.sockets import free_port
 from rigs.wait import AT_ONCE_S, WITHIN_S
 from websockets.sync.client import ClientConnection, connect
 
 from touchd.daemon.app.config import LiveSettings, Settings
 from touchd.daemon.commands.settings import load_model
-from touchd.daemon.live.server import LiveServer, encode_frame, open_live_page
+from touchd.daemon.live.server import encode_frame, open_live_page
 from touchd.drivers.frame import DEFAULT_PAD, Counts, Frame
 from touchd.model.classifier import Classifier
 
@@ -29,18 +28,12 @@ class Served:
     """A page served in this process, and frames to show on it."""
 
     def __init__(self, classifier: Classifier, **settings: Any) -> None:
-        self.port = free_port()
-        self.settings = Settings(live=LiveSettings(port=self.port), **settings)
-        self.models = dict.fromkeys(self.settings.pads, classifier)
-        self.sink = self.serve(self.settings)
+        made = Settings(live=LiveSettings(port=0), **settings)
+        self.models = dict.fromkeys(made.pads, classifier)
+        self.sink = open_live_page(made, self.models)
+        self.sink.start()
+        self.port = self.sink.listening.getsockname()[1]
         self._frames = 0
-
-    def serve(self, settings: Settings) -> LiveServer:
-        """Return a started page."""
-        server = open_live_page(settings, self.models)
-        assert server is not None
-        server.start()
-        return server
 
     @contextmanager
     def look(self, **options: Any) -> Iterator[ClientConnection]:
