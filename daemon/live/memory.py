@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchd.daemon.app.config import Settings
 from touchd.daemon.path.decide import REVISE_MARGIN
@@ -22,20 +21,13 @@ from touchd.daemon.path.events import (
 )
 from touchd.daemon.robot.words import SHIPPED, Vocabulary, name_of, words_of
 from touchd.daemon.sinks.touches import ReportedTouch
-from touchd.drivers.frame import CLOCK_MODULUS, FRAME_RATE_HZ, NO_TOUCH, Frame
+from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH, Frame
 from touchd.model.classifier import Classifier
 
 TOUCHES = 40
 PREDICTIONS = 24
-# The curve of a touch that a later viewer gets: its first 15 seconds, every third frame.
-TRACE_FRAMES = 810
-TRACE_STEP = 3
-# Four seconds: a touch is detected within one, and rest is measured in the second before it.
-RECENT_FRAMES = 216
-# The pad's rest is the mean of the REST_MS that end ONSET_MS before a touch's first frame.
-REST_MS, ONSET_MS = 1000, 100
-# As on the page.
-NOISE_COUNTS = 3.0
+# Two seconds: a touch is detected within one, so the first of them is the pad's rest.
+RECENT_FRAMES = 108
 
 
 class Scene(NamedTuple):
@@ -57,14 +49,11 @@ class Memory:
         self._said: dict[int, str] = {}
         self._reported: deque[int] = deque(maxlen=TOUCHES)
         self._recent: deque[Frame] = deque(maxlen=RECENT_FRAMES)
-        self._traced: list[Frame] = []
-        self._rest: NDArray[np.float64] | None = None
+        self._rest: list[float] = []
 
     def put_frame(self, frame: Frame) -> None:
         """Remember a frame; the only method for another thread."""
         self._recent.append(frame)
-        if len(self._traced) < TRACE_FRAMES:
-            self._traced.append(frame)
 
     def put(self, event: Event) -> None:
         """Remember an event, unless its touch began before we listened."""
@@ -79,8 +68,8 @@ class Memory:
                 self._action = None
                 self._touches.append(ReportedTouch(event))
                 self._said = {touch: said for touch, said in self._said.items() if self.find(touch)}
-                self._rest = self._rest_before(event.sensor_ms)
-                self._traced = list(self._recent.copy())
+                if before := list(self._recent.copy())[: RECENT_FRAMES // 2]:
+                    self._rest = np.mean([frame.pressure.ravel() for frame in before], axis=0).tolist()
             case Label() if self.find(event.touch):
                 self._said[event.touch] = event.gesture
             case Prediction() | TouchEnded() if self._touches:
@@ -101,31 +90,6 @@ class Memory:
         """Return the beginning of a touch that the page shows; None if it shows no such touch."""
         return next((one.began for one in self._touches if one.began.touch == touch), None)
 
-    def _rest_before(self, began_ms: int) -> NDArray[np.float64] | None:
-        """Return the mean of each taxel just before a touch, None without frames of that time."""
-        before = [
-            frame.pressure
-            for frame in self._recent.copy()
-            if ONSET_MS < (began_ms - frame.sensor_ms) % CLOCK_MODULUS <= ONSET_MS + REST_MS
-        ]
-        return np.mean(before, axis=0) if before else None
-
-    def _trace(self) -> tuple[tuple[float, float], ...]:
-        """Return the ongoing touch's curve: seconds since it began, and counts above rest."""
-        if self._rest is None or not self._traced or not self._touches or self._touches[-1].ended:
-            return ()
-        frames = self._traced[::TRACE_STEP]
-        began_ms = self._touches[-1].began.sensor_ms
-        since_ms = np.array([(frame.sensor_ms - began_ms) % CLOCK_MODULUS for frame in frames])
-        pressed = np.array([frame.pressure for frame in frames]) - self._rest - NOISE_COUNTS
-        loads = np.maximum(pressed, 0.0).sum(axis=(1, 2))
-        # Modulo the clock's range, a frame from before the touch lies almost a whole turn ahead.
-        return tuple(
-            (ms / 1000, round(load, 1))
-            for ms, load in zip(since_ms.tolist(), loads.tolist(), strict=True)
-            if ms < CLOCK_MODULUS // 2
-        )
-
     def state(self, page: str, pad: str, pads: Sequence[str], touchable: bool = False) -> dict[str, object]:
         """Return what a page gets when it connects or has fallen far behind.
 
@@ -134,7 +98,7 @@ class Memory:
         """
         settings, model = self.scene
         scene, labels = settings.scene, model.labels if model else ()
-        trace, words = self._trace(), words_of(settings)
+        words = words_of(settings)
         return {
             "type": "state",
             "page": page,
@@ -158,9 +122,8 @@ class Memory:
             "touches": list(self._touches),
             # Touches that the robot was told about while it was up.
             "reported": list(self._reported),
-            # Each taxel's reading before an ongoing touch, and that touch's curve.
-            "rest": self._rest.round(1).ravel().tolist() if self._rest is not None and trace else (),
-            "trace": trace,
+            # Each taxel's reading before the last touch.
+            "rest": self._rest,
             "touchable": touchable,
             "may_label": settings.live is not None and settings.live.label,
             "said": self._said,

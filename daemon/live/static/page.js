@@ -148,7 +148,3 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
   line.useTheme();
   drawSoon();
 });
-addEventListener("resize", () => {
-  show.fitTouches();
-  drawSoon();
-});

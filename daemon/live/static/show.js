@@ -124,16 +124,6 @@ function makeBar() {
   return make("li", "", make("span", "name"), bar, make("span", "share"));
 }
 
-/** Keep the list of touches as high as whole rows are. */
-export function fitTouches() {
-  const list = $("touches");
-  list.style.maxHeight = "";
-  const room = list.clientHeight;
-  const bottoms = [...list.children].map((row) => row.offsetTop + row.offsetHeight);
-  const whole = bottoms.findLast((bottom) => bottom <= room);
-  if (whole && bottoms.at(-1) > room) list.style.maxHeight = `${whole}px`;
-}
-
 /** List the touches; those that can be labelled from here are chosen by a button. */
 export function showTouches(store, labels) {
   const list = $("touches");
@@ -143,7 +133,6 @@ export function showTouches(store, labels) {
   list.replaceChildren(
     ...(ended.length ? ended.map((touch) => row(touch, store, labels)) : [make("li", "path", "none yet")]),
   );
-  fitTouches();
   list.scrollTop = scrollTop;
   if (focused) list.querySelector(`[value="${focused}"]`)?.focus({ preventScroll: true });
 }

@@ -70,8 +70,8 @@ export class Store {
         this.said = new Map(Object.entries(message.said).map(([touch, gesture]) => [Number(touch), gesture]));
         const began = this.touch?.began;
         if (began?.touch !== before?.touch || began?.time !== before?.time) {
-          this.trace = message.trace.length > 0 ? message.trace : this.#lateTrace();
-          if (message.rest.length > 0) this.#rest = Float32Array.from(message.rest);
+          this.trace = this.#lateTrace();
+          if (this.isTouched && message.rest.length > 0) this.#rest = Float32Array.from(message.rest);
         }
         break;
       }
