@@ -24,7 +24,7 @@ from rigs.wait import WITHIN_S, wait_for
 from selenium.webdriver import ActionChains, Chrome, Keys
 from selenium.webdriver.common.by import By
 
-from touchd.daemon.app.config import LiveSettings, PadSettings, Words
+from touchd.daemon.app.config import LiveSettings, PadSettings, Settings, Words
 from touchd.daemon.live import server
 from touchd.daemon.path.events import (
     Event,
