@@ -39,10 +39,6 @@ COMMANDS = {
 """What each subcommand does; its module in `commands` is imported only when it is called."""
 
 
-class UsageError(TouchdError):
-    """The command line names an unknown command."""
-
-
 def module_of(command: str) -> str:
     return f"touchd.daemon.commands.{command.replace('-', '_')}"
 
@@ -99,7 +95,7 @@ def _prepare_streams() -> None:
 
 
 def _answer(words: Sequence[str]) -> int:
-    """Print help or version, as asked without a command; returns the exit code. Raises UsageError."""
+    """Print help or version, as asked without a command; returns the exit code. Raises TouchdError."""
     if not words or words[0] in ("-h", "--help", "help"):
         sys.stdout.write(_help())
         return 0 if words else USERS_MISTAKE
@@ -108,7 +104,7 @@ def _answer(words: Sequence[str]) -> int:
         return 0
     near = difflib.get_close_matches(words[0].lower(), COMMANDS, n=1)
     advice = f"did you mean {near[0]}?" if near else f"there are {', '.join(COMMANDS)}"
-    raise UsageError(f"{words[0]} is not a command; {advice}")
+    raise TouchdError(f"{words[0]} is not a command; {advice}")
 
 
 def _help() -> str:
@@ -134,13 +130,12 @@ def complain(error: Exception) -> int:
 
 def _explained(error: Exception) -> tuple[str, int]:
     """Return an error in words, and the exit code for it."""
-    if isinstance(error, ImportError | OSError) and (what := _lacking(error)):
-        return what, USERS_MISTAKE
     if isinstance(error, TouchdError):
         # An address that this computer does not have yet: systemd starts the service again.
-        cause = error.__cause__
-        is_early = isinstance(cause, OSError) and cause.errno == errno.EADDRNOTAVAIL
+        is_early = getattr(error.__cause__, "errno", None) == errno.EADDRNOTAVAIL
         return str(error), OUR_MISTAKE if is_early else USERS_MISTAKE
+    if what := _lacking(error):
+        return what, USERS_MISTAKE
     what = " ".join(f"internal error: {type(error).__name__}: {error}; --debug shows the trace".split())
     if os.environ.get("PYTHONPATH"):
         # Labs set it for ROS or NAOqi; it puts other versions of libraries before those installed.
@@ -148,17 +143,15 @@ def _explained(error: Exception) -> tuple[str, int]:
     return what, OUR_MISTAKE
 
 
-def _lacking(error: ImportError | OSError) -> str:
+def _lacking(error: Exception) -> str:
     """Return what the computer lacks: a library, space or permission; "" for any other error."""
     if isinstance(error, ModuleNotFoundError) and (extra := extra_of(error.name or "")):
         # As a comment: the line's end may be pasted into a shell.
         size = f"  # {SIZES[extra]} on the disk" if extra in SIZES else ""
         return f"{error.name} is not installed (extra {extra}): {how_to_install(extra)}{size}"
-    if isinstance(error, ImportError):
-        return ""
-    if error.errno in DISK_FULL:
+    if isinstance(error, OSError) and error.errno in DISK_FULL:
         discard_output()
         return f"{error.filename or 'standard output'}: cannot be written ({error.strerror})"
-    if error.errno in (errno.EACCES, errno.ENAMETOOLONG):
+    if isinstance(error, OSError) and error.errno in (errno.EACCES, errno.ENAMETOOLONG):
         return f"{error.filename}: {error.strerror}; give another path, or put sudo before the command"
     return ""

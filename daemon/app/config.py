@@ -49,16 +49,16 @@ Length = Annotated[float, msgspec.Meta(ge=0.001, le=10_000)]
 
 
 @contextmanager
-def config_errors(prefix: str = "") -> Iterator[None]:
+def config_errors() -> Iterator[None]:
     """Raise any error that a configuration causes as ConfigError, but not a lack of descriptors or memory."""
     try:
         yield
-    except (TouchdError, ImportError, MemoryError):
+    except TouchdError:
         raise
-    except Exception as error:
-        if isinstance(error, OSError) and error.errno in NO_ROOM:
+    except (ValueError, OSError) as error:
+        if getattr(error, "errno", None) in NO_ROOM:
             raise
-        raise ConfigError(f"{prefix}the configuration cannot be used: {error}; check its values") from error
+        raise ConfigError(f"the configuration cannot be used: {error}; check its values") from error
 
 
 def _check_pads(ports: Mapping[str, str]) -> None:
@@ -211,5 +211,4 @@ def load(path: Path) -> Settings:
         raise ConfigError(f"{path}: cannot be read ({error.strerror}); {advice}") from error
     if len(text) > MAX_BYTES:
         raise ConfigError(f"{path}: larger than {MAX_BYTES // 1024} KiB, so not a touchd configuration")
-    with config_errors(f"{path}: "):
-        return convert(path, text, Settings)
+    return convert(path, text, Settings)

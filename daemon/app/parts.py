@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import typing
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -126,10 +126,12 @@ def load_models(settings: Settings) -> dict[str, Classifier]:
 
     Raises ModelError, or ConfigError when a model does not fit the scene or the words.
     """
-    pads = settings.pads
-    by_file = {file: _load(file) for file in {pad.model for pad in pads.values()}}
-    models = {name: by_file[pad.model] for name, pad in pads.items()}
-    for name, pad in pads.items():
+    by_file: dict[str | None, Classifier] = {}
+    models: dict[str, Classifier] = {}
+    for name, pad in settings.pads.items():
+        if pad.model not in by_file:
+            by_file[pad.model] = Classifier.load() if pad.model is None else load_own(written_out(pad.model))
+        models[name] = by_file[pad.model]
         # The shipped model fits the scene by default.
         if pad.model is not None or pad.scene != SceneSettings():
             check_scene(pad.scene, models[name])
@@ -137,20 +139,10 @@ def load_models(settings: Settings) -> dict[str, Classifier]:
         for frames in pad.scene.answer_at_frames:
             models[name].probabilities(np.zeros((frames, ROWS, COLUMNS), np.float32))
             models[name].step(np.zeros((frames, ROWS, COLUMNS), np.float32))
-    if settings.words:
-        check_words(settings.words, models.values())
-    return models
-
-
-def _load(file: str | None) -> Classifier:
-    return Classifier.load() if file is None else load_own(written_out(file))
-
-
-def check_words(words: Iterable[str], models: Iterable[Classifier]) -> None:
-    """Raise ConfigError when there are words for a gesture that no pad's model knows."""
-    known = {OTHER, UNCERTAIN}.union(*(model.labels for model in models))
-    if unknown := sorted(set(words) - known):
+    known = {OTHER, UNCERTAIN}.union(*(model.labels for model in models.values()))
+    if unknown := sorted(set(settings.words) - known):
         raise ConfigError(f"words.{unknown[0]}: unknown gesture; known: {', '.join(sorted(known))}")
+    return models
 
 
 def check_scene(scene: SceneSettings, classifier: Classifier) -> None:

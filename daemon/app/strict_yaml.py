@@ -15,22 +15,20 @@ from touchd.drivers.errors import TouchdError
 T = TypeVar("T", bound=msgspec.Struct)
 
 MERGE_TAG = "tag:yaml.org,2002:merge"
-
+# Messages of msgspec about a value.
 UNKNOWN = re.compile(r"Object contains unknown field `(.*)`")
 WRONG_KIND = re.compile(r"Expected `(.*)`, got `(.*)`")
 OUT_OF_RANGE = re.compile(r"Expected `(?:int|float)` ([<>]=?) (.*)")
-WRONG_FORM = re.compile(r"Expected `str` matching regex .*")
 WRONG_CHOICE = re.compile(r"Invalid enum value (.*)")
-# Other messages of msgspec, and what is wrong in each case.
-PROBLEMS = (
-    (re.compile(r"Object missing required field `(.*)`"), "{} is missing"),
-    (re.compile(r"Expected `array` of length (\d+), got (\d+)"), "{} values expected, not {}"),
-    (re.compile(r"Expected `(?:str|array)` of length >= 1"), "must not be empty"),
-    (
-        re.compile(r"Expected `str`"),
-        "a name before a colon is not text; put it in quotes if it is a number or on, off, yes, no",
-    ),
-)
+# Others, and what is wrong in each case. {form}: an example of the setting.
+PROBLEMS = {
+    r"Expected `str` matching regex .*": "another form expected, as in {form}",
+    r"Object missing required field `(.*)`": "{0} is missing",
+    r"Expected `array` of length (\d+), got (\d+)": "{0} values expected, not {1}",
+    r"Expected `(?:str|array)` of length >= 1": "must not be empty",
+    r"Expected `str`": "a name before a colon is not text; put it in quotes if it is a number or on, off, "
+    "yes, no",
+}
 LIMITS = {">=": "at least", "<=": "at most", ">": "more than", "<": "less than"}
 # What the number in a setting counts, by the end of the setting's name.
 UNITS = {"_s": "seconds", "_hz": "per second", "_mm": "millimetres", "_frames": "frames"}
@@ -43,25 +41,18 @@ KINDS = {
     "float": "a number",
     "bool": "true or false",
 }
-# Settings whose text has a certain form.
-FORMS = {
+# Settings whose text has a certain form, and sections that look as if they took a single value.
+EXAMPLES = {
     "discovery": "discovery: homeassistant",
     "host": "host: broker.local",
     "name": "name: lab/nao1",
     "url": "url: ws://robot:9090",
-}
-# Sections that look as if they took a single value.
-EXAMPLES = {
     "words": "words: {stroke: {name: caress, phrase: a caress}}",
     "journal": "journal: {path: events.jsonl}",
     "live": "live: {port: 8054}",
-    "lsl": "lsl: {}",
     "mqtt": "mqtt: {host: broker.local}",
     "robot": "robot: {url: 'tcp://nao.local:9559'}",
     "rosbridge": "rosbridge: {url: 'ws://robot:9090'}",
-    "ros2": "ros2: {domain: 0}",
-    "scene": "scene: {speak_above: 0.65}",
-    "sensor": "sensor: {port: /dev/ttyACM0}",
 }
 
 # Parts of PyYAML's messages, and what is wrong in each case.
@@ -156,29 +147,26 @@ def _invisible(text: bytes) -> str:
 
 def explain(error: str, struct: type[msgspec.Struct], raw: object) -> str:
     """Turn the text of a msgspec.ValidationError about a struct into one line. raw: what was converted."""
-    problem, _, where = error.rpartition(" - at `")
-    if not problem:
-        problem, where = where, ""
+    problem, where = error, ""
+    if " - at `" in error:
+        problem, _, where = error.rpartition(" - at `")
     path = where.removesuffix("`").removeprefix("key` in `").removeprefix("$").removeprefix(".")
-    if match := UNKNOWN.fullmatch(problem):
-        return _unknown(match[1], path, struct)
     setting = _without_items(path)
     name = setting.rpartition(".")[2]
-    choices = ", ".join(
-        str(each) for at, kind in _settings(struct) if at == setting for each in _choices(kind)
-    )
+    if match := UNKNOWN.fullmatch(problem):
+        return _unknown(match[1], path, struct)
+    kinds = (kind for known, kind in _settings(struct) if known == setting)
+    choices = ", ".join(str(each) for kind in kinds for each in _choices(kind))
     if match := WRONG_KIND.fullmatch(problem):
         wanted = f"one of {choices}" if choices and match[1] in ("str", "int") else match[1]
         problem = _wrong_kind(wanted, match[2], EXAMPLES.get(name))
-    elif WRONG_FORM.fullmatch(problem):
-        problem = f"another form expected, as in {FORMS[name]}"
     elif match := OUT_OF_RANGE.fullmatch(problem):
         problem = _out_of_range(match[1], match[2], name, _value_at(raw, path))
     elif match := WRONG_CHOICE.fullmatch(problem):
         problem = f"{match[1]} is not one of {choices}"
-    else:
-        found = ((pattern.fullmatch(problem), words) for pattern, words in PROBLEMS)
-        problem = next((words.format(*match.groups()) for match, words in found if match), problem)
+    for pattern, words in PROBLEMS.items():
+        if match := re.fullmatch(pattern, problem):
+            problem = words.format(*match.groups(), form=EXAMPLES.get(name))
     return f"{path}: {problem}" if path else problem
 
 

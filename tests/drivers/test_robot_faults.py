@@ -1,6 +1,7 @@
-"""Faults of the robot: the daemon continues and the link recovers, with our session and with qi's."""
+"""Faults of the robot, logins and endings: the link recovers and stops, with our session and with qi's."""
 
 import logging
+import socket
 import sys
 import time
 from collections.abc import Iterator
@@ -21,15 +22,19 @@ from rigs.robots import (
     Robot,
     answer,
     hears,
+    link_threads,
     linked,
     login_in,
     message,
     needs_qi,
+    reach,
     say,
 )
 from rigs.wait import AT_ONCE_S, wait_for
 
-from touchd.drivers.robot.session import RobotLimits
+from touchd.daemon.app.config import Settings
+from touchd.daemon.doctor.machine import certificate_at, check_robot
+from touchd.drivers.robot.session import RobotLimits, RobotSettings
 
 
 @pytest.fixture(params=CLIENTS)
@@ -199,3 +204,70 @@ def test_publishing_to_a_hung_robot_returns_at_once(client: str) -> None:
         robot.resume()
         robot.calls.wait_for_raise(GESTURE, "gesture 499")
         assert robot.calls.raised(GESTURE) == [f"gesture {number}" for number in range(495, 500)]
+
+
+@pytest.mark.parametrize("state", ["up", "killed", "hung", "hung-connect", "busy"])
+def test_stopping_ends_soon_and_leaves_no_thread(state: str, client: str) -> None:
+    with (
+        Robot(say_s=60) as robot,
+        linked(robot, client=client, limits=IMPATIENT, acts=True) as (link, states),
+    ):
+        reach(state, robot, link, states)
+        started_s = time.monotonic()
+        link.stop()
+        assert time.monotonic() - started_s < AT_ONCE_S
+        assert link_threads() == []
+
+
+def test_a_silent_listener_is_down_and_can_be_disconnected(client: str) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as mute, Robot() as robot:
+        url = f"tcp://127.0.0.1:{mute.getsockname()[1]}"
+        with linked(robot, client=client, url=url, limits=RobotLimits(connect_s=0.3)) as (_, states):
+            assert "connecting: no answer" in states.wait_for("down")
+            started_s = time.monotonic()
+        assert time.monotonic() - started_s < AT_ONCE_S
+
+
+def test_only_a_robot_with_the_pinned_certificate_gets_the_token(tmp_path: Path) -> None:
+    with Robot(login=LOGIN) as robot:
+        shown = certificate_at(robot.url)
+        assert shown is not None
+        digits = shown.removeprefix("sha256:")
+        pairs = ":".join(digits[at : at + 2] for at in range(0, 64, 2))
+        login = login_in(tmp_path)
+        with linked(robot, **login | {"certificate": f"sha256:{'ab' * 32}"}) as (_, states):
+            reason = states.wait_for("down")
+        assert f"not the robot of robot.certificate: this one's is {shown}" in reason
+        assert robot.gate is not None
+        assert robot.gate.first_messages == []
+        for form in (shown, f"SHA256:{pairs.upper()}"):
+            with linked(robot, **login | {"certificate": form}) as (link, states):
+                states.wait_for("up")
+                hears(robot, link, form)
+
+
+def test_a_renewed_token_is_read_at_the_next_connection(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with Robot(login=LOGIN) as robot, linked(robot, **login_in(tmp_path)) as (link, states):
+        states.wait_for("up")
+        (tmp_path / "token").unlink()
+        robot._login = renewed = Login(LOGIN.user, "an0ther")
+        robot.kill()
+        robot.start()
+        wait_for(lambda: "robot.token_file" in caplog.text)
+        login_in(tmp_path, renewed)
+        states.wait_for("up", "down", "up")
+        hears(robot, link)
+
+
+def test_the_doctor_shows_the_certificate_to_pin(tmp_path: Path) -> None:
+    with Robot(login=LOGIN) as robot:
+        shown = certificate_at(robot.url)
+        pin = f"if it is your robot, set robot.certificate: {shown}"
+        without = check_robot(Settings(robot=RobotSettings(url=robot.url)))
+        assert (without.verdict, without.advice.endswith(pin)) == ("to do", True)
+        trusted = check_robot(Settings(robot=RobotSettings(url=robot.url, **login_in(tmp_path))))
+        assert (trusted.verdict, trusted.advice) == ("ok", pin)
+        pinned = RobotSettings(url=robot.url, **login_in(tmp_path) | {"certificate": shown})
+        assert check_robot(Settings(robot=pinned)).advice == ""

@@ -172,12 +172,7 @@ def linked(
 
 def reach(state: str, robot: Robot, link: RobotLink, states: States) -> None:
     """Wait until a link is in a state."""
-    if state in ("refused", "wrong-token"):
-        states.wait_for("down")
-    elif state == "mute":
-        time.sleep(0.2)
-    else:
-        states.wait_for("up")
+    states.wait_for("up")
     if state == "busy":
         answer(link)
         robot.calls.wait_for(lambda call: call.method == "say")
