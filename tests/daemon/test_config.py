@@ -133,9 +133,7 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
         ("sensor:\n\tport: x", "line 2, column 1: indent with spaces, not with tabs"),
         ("sensor: {format: {framing: txt}}", "sensor.format.framing: 'txt' is not one of text, binary"),
         ("turn: 90", "turn: unknown setting; did you mean sensor.turn?"),
-        ("sensor: {format: {turn: 90}}", "sensor.format.turn: unknown setting; did you mean sensor.turn?"),
         ("robot: {ip: 10.0.0.5}", "robot.ip: unknown setting; there are robot.url, "),
-        ("touch: {onset_threshold: 4}", "there are touch.sensitivity, touch.quiet_s"),
         ("sensor: {'a`b': 1}", "sensor.a`b: unknown setting"),
         ("sensor: {baud: fast}", "sensor.baud: a whole number expected, not text"),
         ("sensor: {port: ''}", "sensor.port: must not be empty"),
@@ -145,24 +143,20 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
             "scene.answer_at_frames[0]: 0 must be at least 1 (frames)",
         ),
         ("sensors: {a: {size_mm: [0, 80]}}", "size_mm[0]: must be at least 0.001 (millimetres)"),
-        ("sensor: {baud: 3}", "sensor.baud: 3 must be at least 1200"),
         (f"sensor: {{baud: {'9' * 8000}}}", "Exceeds the limit (4300 digits)"),
         ("sensor: {format: {header: aa, crop: 4}}", "10x10 with crop 4 leaves 2x2; a side of 4 to 64"),
-        ("sensor: {format: fabricgrid}", "did you mean fabric-grid?"),
-        ("sensor: {format: xyz}", "format 'xyz' is none of fabric-grid, csv,"),
+        (
+            "sensor: {format: fabricgrid}",
+            "'fabricgrid' is none of fabric-grid, csv, csv12, muca, velostat, m1616; did you mean fabric-grid?",
+        ),
         ("sensor: {format: {header: aa, clock: true}}", "sensor.format.clock: "),
         ("sensor: {format: {framing: binary}}", "needs a header or footer"),
         ("sensor: {format: {rows: 8, columns: 8}}", "lines of numbers need framing: text"),
-        ("sensor: {port: 'tcp://pad:1', format: {framing: binary}}", "needs a header or footer"),
         (
             "live:\n  #port: 8054",
             "line 1, column 1: live has no value; write null for none",
         ),
         ("touch: {quiet_s: .nan}", "touch.quiet_s: nan must be at least 0.1"),
-        (
-            "scene: {actions: [{do: [{leds: purple}]}]}",
-            "scene.actions[0].do[0]: leds 'purple' is neither #rrggbb nor one of white, red",
-        ),
         ("mqtt: broker.local", "not text; as in mqtt: {host: broker.local}"),
         ("scene: {gestures: [3]}", "scene.gestures[0]: text (in quotes) expected, not a whole number"),
         (
@@ -173,15 +167,11 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
         ("scene: {answer_at_frames: [81, 54, 144]}", "must rise from early to final"),
         ("robot: {}", "robot: url is missing"),
         ("scene: {actions: [{do: [{sai: a}]}]}", "scene.actions[0].do[0].sai: unknown setting; did you mean"),
-        ("scene: {actions: [{stages: [fin], do: []}]}", "actions[0].stages[0]: 'fin' is not one of early"),
-        ("scene: {actions: [{do: [{say: '{who}'}]}]}", "may hold {gesture}, {name}, {phrase} and"),
-        ("robot: {url: 'tcp://nao:9559', prefix: ALTouch}", "does not begin with AL"),
         (
             "robot: {url: 'tcp://n:1', token: secret}",
             "robot.token: unknown setting; write the token",
         ),
         ("mqtt: {host: 'mqtt://broker'}", "mqtt.host: another form expected, as in host: broker.local"),
-        ("name: a/#", "name: another form expected, as in name: lab/nao1"),
         ("name: nao__1", "name: another form expected, as in name: lab/nao1"),
         ("mqtt: {discovery: a/#}", "mqtt.discovery: another form expected, as in discovery: homeassistant"),
         ("rosbridge: {url: 'ws://robot:90900'}", "(Port out of range 0-65535)"),
@@ -191,7 +181,6 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
         ("sensor: [", "line 1, column 10: "),
         ("model: a: b", "line 1, column 9: a colon where none can stand"),
         ("sensor:\n  port /dev/x\n  baud: 9600", "line 3, column 7: a colon where none can stand"),
-        ("scene:\n  early: at_mark\n   stale_s: 2", "line 3, column 11: a colon where none can stand"),
         ("scene:\n  gestures:\n  - pat\n - rub", "line 4, column 2: indent this line as far as the other"),
         ("model: 'a\n", "line 2, column 1: a quote is opened above and not closed"),
         (
@@ -205,12 +194,10 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
         ("model: 2020-99-99", "not YAML"),
         ("a: \x00", "line 1: special characters are not allowed"),
         ("sensor:\n\u00a0 port: a", "line 2 has an invisible character (U+00A0, perhaps copied from a page)"),
-        ("1: 2", "a name before a colon is not text"),
         (
             "scene: {actions: [{on: pat}]}",
             "scene.actions[0]: a name before a colon is not text; put it in quotes",
         ),
-        ("scene: {actions: [{do: []}]}", "scene.actions[0].do: must not be empty"),
         ("rosbridge: {url: 'robot:9090'}", "another form expected, as in url: ws://robot:9090"),
         ("words: {pat: clap}", "not text; as in words: {stroke: {name: caress, phrase: a caress}}"),
         ("[sensor]\nport=a", "line 2, column 1: settings (name: value) expected"),
@@ -222,27 +209,20 @@ def test_a_mistake_is_named_in_one_line(tmp_path: Path, text: str, message: str)
 
 
 @pytest.mark.parametrize(
-    "text",
-    ["scene: {stale_s: 0}", "mqtt: {pressure_hz: 0}", "sensor: {size_mm: [0, 8]}"],
-)
-def test_zero_is_refused_after_the_model_is_loaded(tmp_path: Path, text: str) -> None:
-    Classifier.load(SHIPPED_MODEL)
-    assert "must be at least 0.001" in refusal(tmp_path, text)
-
-
-@pytest.mark.parametrize(
     ("setting", "taken", "refused"),
     [
         ("scene: {answer_at_frames: [%s, 2, 3]}", [1], [0]),
         ("scene: {answer_at_frames: [1, 2, %s]}", [432], [433]),
         ("scene: {speak_above: %s}", [0, 1], [-0.01, 1.01]),
-        ("scene: {stale_s: %s}", [0.001, 60], [60.1]),
+        # Zero is refused also once the model counts denormals as zero.
+        ("scene: {stale_s: %s}", [0.001, 60], [0, 60.1]),
         ("touch: {quiet_s: %s}", [0.1, 5], [0.09, 5.1]),
     ],
 )
 def test_a_setting_takes_its_whole_range(
     tmp_path: Path, setting: str, taken: list[float], refused: list[float]
 ) -> None:
+    Classifier.load(SHIPPED_MODEL)
     for value in taken:
         loaded(tmp_path, setting % value)
     for value in refused:

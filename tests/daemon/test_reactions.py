@@ -1,4 +1,4 @@
-"""Which answers trigger which actions, and how they are configured."""
+"""Which answers trigger which actions, how they are configured, and the words for gestures."""
 
 import re
 from pathlib import Path
@@ -15,7 +15,7 @@ from touchd.daemon.path.feel import Feel
 from touchd.daemon.robot import actions
 from touchd.daemon.robot.actions import MEASURES, Action, ActionRule
 from touchd.daemon.robot.reactions import MOST_TOUCHES, Choice, act_of, spoken
-from touchd.daemon.robot.words import words_of
+from touchd.daemon.robot.words import SHIPPED, name_of, words_of
 from touchd.model.classifier import Classifier
 
 Rules = tuple[ActionRule, ...]
@@ -198,4 +198,17 @@ def test_every_kind_of_action_reaches_the_robot_in_order() -> None:
         ("animated_say", "A tickle!"),
         ("behavior", "animations/Stand/Gestures/Hey_1"),
         ("say", "I am 65 percent sure"),
+    ]
+
+
+def test_every_language_names_the_same_gestures() -> None:
+    assert len({frozenset(words) for words in SHIPPED.values()}) == 1
+
+
+def test_a_deployments_words_replace_the_shipped_ones() -> None:
+    words = words_of(Settings(language="de", words={"stroke": Words(name="caresse", phrase="une caresse")}))
+    assert [name_of(words, gesture) for gesture in ("stroke", "pat", "hug")] == [
+        "caresse",
+        "Tätscheln",
+        "hug",
     ]

@@ -5,7 +5,7 @@ import random
 import numpy as np
 import pytest
 from rigs.formats import FabricGrid, encode_fabric_grid
-from rigs.wire import PERIOD_MS, SIZE, TIME_BITS, VISIBLE_BITS, assert_are, counts_of, flip, packet, packets
+from rigs.wire import PERIOD_MS, SIZE, TIME_BITS, VISIBLE_BITS, assert_are, flip, packet, packets
 
 SUMMED_BITS = [bit for bit in VISIBLE_BITS if bit not in TIME_BITS]
 # Losing or adding bytes elsewhere may leave the frame intact, for instance if FF bytes precede its header.
@@ -28,13 +28,6 @@ def test_a_10x10_pad_gives_the_8x8_of_haart() -> None:
     assert frames[0].pressure.dtype == np.uint16
     assert not frames[0].pressure.flags.writeable
     assert frames[0].host_s == 3.5
-
-
-def test_the_border_of_a_larger_grid_is_ignored() -> None:
-    data = encode_fabric_grid(counts_of(1), 0)
-    raw = np.frombuffer(data, "<u2", 100, 8).reshape(10, 10)
-    assert len(data) == SIZE
-    assert set(raw[0]) | set(raw[-1]) | set(raw[:, 0]) | set(raw[:, -1]) == {1023}
 
 
 def test_a_frame_carries_the_arrival_of_its_last_byte() -> None:
