@@ -269,10 +269,6 @@ def test_an_unusable_setting_is_refused_in_one_line(
     assert set(threading.enumerate()) == threads
 
 
-def test_the_default_scene_fits_the_shipped_model() -> None:
-    check_scene(SceneSettings(), Classifier.load())
-
-
 def test_a_scene_that_acts_on_other_fits_a_model_without_it() -> None:
     rule = ActionRule(do=(Action(say="Ouch"),), gestures=("other",))
     classifier = Classifier.load()

@@ -45,6 +45,7 @@ def refusal(folder: Path, text: str) -> str:
     path, _, message = str(raised.value).partition(": ")
     assert path == str(folder / "touchd.yaml")
     assert "\n" not in message
+    assert "s3cret" not in message
     return message
 
 
@@ -147,7 +148,7 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
         ("sensor: {format: {header: aa, crop: 4}}", "10x10 with crop 4 leaves 2x2; a side of 4 to 64"),
         (
             "sensor: {format: fabricgrid}",
-            "'fabricgrid' is none of fabric-grid, csv, csv12, muca, velostat, m1616; did you mean fabric-grid?",
+            "velostat, m1616; did you mean fabric-grid?",
         ),
         ("sensor: {format: {header: aa, clock: true}}", "sensor.format.clock: "),
         ("sensor: {format: {framing: binary}}", "needs a header or footer"),
@@ -168,7 +169,7 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
         ("robot: {}", "robot: url is missing"),
         ("scene: {actions: [{do: [{sai: a}]}]}", "scene.actions[0].do[0].sai: unknown setting; did you mean"),
         (
-            "robot: {url: 'tcp://n:1', token: secret}",
+            "robot: {url: 'tcp://n:1', token: s3cret}",
             "robot.token: unknown setting; write the token",
         ),
         ("mqtt: {host: 'mqtt://broker'}", "mqtt.host: another form expected, as in host: broker.local"),

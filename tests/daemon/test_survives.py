@@ -22,24 +22,20 @@ from rigs.terminal import Terminal
 from rigs.wait import AT_ONCE_S, WITHIN_S
 
 from touchd.daemon.app import cli
-from touchd.daemon.app.config import SensorSettings, Settings, load
+from touchd.daemon.app.config import SensorSettings, Settings
 from touchd.daemon.app.log import LogWriter
 from touchd.daemon.path.events import Event, Label, Prediction, TouchEnded, encode
 from touchd.daemon.path.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.daemon.path.staleness import Staleness
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
-from touchd.daemon.robot.sink import link_to_robot
 from touchd.daemon.sinks.journal import Journal, JournalError
 from touchd.daemon.sinks.sink import LinesSink
 from touchd.daemon.sinks.touch_store import TouchStore, kept_touches
 from touchd.daemon.sinks.touches import read_journal, read_labels
-from touchd.drivers.errors import TouchdError
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import Frame
-from touchd.drivers.pad.grid import GridFrame, Ring
+from touchd.drivers.pad.grid import GridFrame
 from touchd.drivers.recording import Recording, RecordingError, read_recordings, write_recordings
-from touchd.drivers.robot.link import client_of
-from touchd.drivers.robot.session import RobotError, RobotSettings
 from touchd.drivers.whole_file import PARTIAL
 
 PING = b"\x89\xbc" + bytes(4) + bytes(60)
@@ -336,38 +332,6 @@ def test_a_pad_without_detectable_touches_is_degraded_with_a_reason(line: Line, 
     line._step_ms, line._clock_factor, line._back_ms = 1000 / 54, 1.0, 0
     line.feel(nothing(7.0))
     assert line.events[-1].state == "up"
-
-
-def test_a_clock_that_runs_back_a_little_costs_no_frames() -> None:
-    ring = Ring(capacity=1000)
-    counts = np.zeros((8, 8), np.uint16)
-    laid = 0
-    for number in range(216):
-        ms = round(number * 1000 / 54) - (900 if number >= 100 else 0) + 5000
-        laid += len(ring.push(Frame(ms, 0.0, counts)))
-    assert laid == 216
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "robot: {url: 'tcp://nao:9559', token: s3cret}",
-        "robot: {url: 'tcp://nao:s3cret@nao.local:9559'}",
-        "robot: {url: 'tcps://nao:9503', user: nao, token_file: s3cret}",
-    ],
-)
-def test_no_message_shows_a_token_or_a_password(tmp_path: Path, text: str) -> None:
-    path = tmp_path / "touchd.yaml"
-    path.write_text(text)
-    with pytest.raises(TouchdError) as said:
-        link_to_robot(load(path), lambda _: None)
-    assert "s3cret" not in str(said.value)
-
-
-def test_a_token_file_that_is_a_pipe_does_not_block(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "token")
-    with pytest.raises(RobotError, match="empty"):
-        client_of(RobotSettings(url="tcps://127.0.0.1:1", user="nao", token_file=str(tmp_path / "token")))
 
 
 def test_a_small_file_of_countless_recordings_is_refused(tmp_path: Path) -> None:

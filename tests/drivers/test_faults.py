@@ -8,9 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rigs.formats import encode_fabric_grid
-from rigs.robots import linked
 from rigs.sensor_rig import next_frames, sensing, stream_of
-from rigs.stub_robot import StubRobot
 from rigs.wait import wait_for
 
 from touchd.drivers.fakes.fake_port import FakePort
@@ -62,18 +60,6 @@ def test_a_lost_pad_is_retried_sooner_than_a_missing_one(tmp_path: Path, paused:
             time.sleep(0.4)
             link.unlink()
             pauses.clear()
-        assert first(pauses) <= 0.1
-
-
-def test_a_lost_robot_is_retried_quickly(paused: Paused) -> None:
-    pauses = paused("touchd.drivers.robot.worker")
-    robot = StubRobot()
-    with linked(robot) as (_, states):
-        wait_for(lambda: pauses[-1:] > [0.1])
-        robot.start()
-        states.wait_for("down", "up")
-        pauses.clear()
-        robot.kill()
         assert first(pauses) <= 0.1
 
 

@@ -1,6 +1,7 @@
 """What a robot gets over the link, and what is logged of it; on a robot in this process."""
 
 import logging
+import os
 import threading
 import time
 from collections.abc import Iterator
@@ -241,11 +242,12 @@ def test_settings_that_cannot_be_meant_are_refused(settings: dict[str, Any], com
     [
         ("/no/such", r"cannot be read \(No such"),
         ("/dev/zero", r"cannot be read \(Is a device"),
-        *((file, "is empty or too large") for file in ("empty", "large")),
+        *((file, "is empty or too large") for file in ("empty", "large", "pipe")),
     ],
 )
 def test_a_token_that_cannot_be_read_is_named(token_file: str, complaint: str, tmp_path: Path) -> None:
     (tmp_path / "empty").touch()
+    os.mkfifo(tmp_path / "pipe")
     (tmp_path / "large").write_text("x" * 4097)
     token_file = str(tmp_path / token_file)
     with pytest.raises(RobotError, match=rf"robot\.token_file {token_file} {complaint}"):
