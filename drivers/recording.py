@@ -9,7 +9,7 @@ Consecutive rows that share participant, substrate, cover and gesture are one re
 import csv
 import gzip
 import io
-import os
+import tempfile
 import zlib
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
@@ -147,10 +147,7 @@ def write_recordings(path: Path, recordings: Sequence[Recording], provenance: Ma
     if any(_keys(earlier) == _keys(later) for earlier, later in pairwise(recordings)):
         raise RecordingError(f"{path}: two in a row share participant, condition and gesture")
     try:
-        with (
-            whole_file(path, replace=False, mode=PRIVATE_MODE) as partial,
-            _new_text(partial) as file,
-        ):
+        with whole_file(path, replace=False, mode=PRIVATE_MODE) as partial, _new_text(partial) as file:
             for key, value in provenance.items():
                 file.write(f"# {key}: {' '.join(value.split())}\n")
             writer = csv.writer(file, lineterminator="\n")
@@ -166,13 +163,10 @@ def write_recordings(path: Path, recordings: Sequence[Recording], provenance: Ma
 
 def prepare(folder: Path) -> None:
     """Make a folder for recordings, and check that files can be made in it; raises RecordingError."""
-    probe = folder / f".touchd-probe-{os.getpid()}"
     with os_errors_as(RecordingError, f"{folder}: recordings cannot be kept there", "name another folder"):
         folder.mkdir(parents=True, exist_ok=True)
-        try:
-            probe.touch()
-        finally:
-            probe.unlink(missing_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
 
 
 def realign(recording: Recording) -> Recording:
@@ -320,16 +314,10 @@ def _parse(path: Path, lines: Iterator[str], select: Selection) -> Iterator[Reco
 def _check_clock(what: str, clock_ms: NDArray[np.int64]) -> None:
     """Refuse a clock that stands still, runs back or does not count milliseconds."""
     steps = np.diff(clock_ms)
-    if len(steps) < LEAST_STEPS:
-        return
-    usual_ms = float(np.median(steps))
-    if not clock_ms.any() or usual_ms == 0:
-        raise RecordingError(f"{what}: sensor_ms stands still; it must be each frame's milliseconds")
-    if usual_ms < 0:
-        raise RecordingError(f"{what}: sensor_ms falls; it must be each frame's milliseconds, rising")
-    if usual_ms > SLOWEST_STEP_MS:
+    if len(steps) >= LEAST_STEPS and not 0 < (usual_ms := float(np.median(steps))) <= SLOWEST_STEP_MS:
         raise RecordingError(
-            f"{what}: sensor_ms rises by {usual_ms:g} a frame; it must be in ms: are these microseconds?"
+            f"{what}: sensor_ms changes by {usual_ms:g} a frame; it must rise by milliseconds, not "
+            "microseconds, and may not stand still or fall"
         )
 
 
@@ -346,7 +334,8 @@ def _rows(path: Path, lines: Iterator[str], layout: _Layout) -> Iterator[tuple[i
 
 
 def _keys_of(row: Sequence[str]) -> Keys:
-    return (row[0].strip(), row[1].strip(), row[2].strip(), row[3].strip())
+    participant, substrate, cover, gesture = map(str.strip, row[: len(KEYS)])
+    return participant, substrate, cover, gesture
 
 
 def _read_header(path: Path, lines: Iterator[str]) -> _Layout:

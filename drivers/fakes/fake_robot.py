@@ -8,9 +8,8 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import closing
-from typing import Protocol
 
 import msgspec
 
@@ -20,14 +19,6 @@ from touchd.drivers.fakes.services import SERVICE_NAMES, Call, fake_services
 from touchd.drivers.robot.session import RobotError
 
 LONGEST_S = 9999.0
-
-
-class Server(Protocol):
-    """Serves objects on 127.0.0.1. url: where."""
-
-    url: str
-
-    def close(self) -> None: ...
 
 
 def parser() -> argparse.ArgumentParser:
@@ -46,14 +37,11 @@ def parser() -> argparse.ArgumentParser:
     return parser
 
 
-def main(
-    arguments: Sequence[str] | None = None,
-    serve: Callable[[Mapping[str, object], int], Server] = QiServer,
-) -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Be a robot until SIGINT or SIGTERM; returns 0.
 
-    Prints {"listening": url} once all services are there, and every Call. serve: serves objects by name at a
-    port. Raises RobotError with one line for what the user must change.
+    Prints {"listening": url} once all services are there, and every Call. Raises RobotError with one line for
+    what the user must change.
     """
     options = parser().parse_args(arguments)
     stop = threading.Event()
@@ -71,7 +59,7 @@ def main(
 
     services = fake_services(report, call_s=options.call_s, say_s=options.say_s, without=options.without)
     with os_errors_as(RobotError, f"cannot listen on port {options.port}", "choose another with --port"):
-        server = serve(services, options.port)
+        server = QiServer(services, options.port)
     with closing(server):
         report({"listening": server.url})
         stop.wait()

@@ -296,13 +296,11 @@ def test_an_error_while_writing_leaves_the_old_file_alone(before: Path) -> None:
     assert list(before.parent.iterdir()) == [before]
 
 
-@pytest.mark.parametrize(
-    ("step", "said"), [(18_500, "are these microseconds"), (0, "stands still"), (-18, "sensor_ms falls")]
-)
-def test_a_clock_not_in_milliseconds_is_refused(tmp_path: Path, step: int, said: str) -> None:
+@pytest.mark.parametrize("step", [18_500, 0, -18])
+def test_a_clock_not_in_milliseconds_is_refused(tmp_path: Path, step: int) -> None:
     path = tmp_path / "own.csv"
     clock_ms = 10**6 + step * np.arange(20, dtype=np.int64)
     counts = np.zeros((20, 8, 8), np.uint16)
     write_recordings(path, [Recording("P1", "none", "none", "rub", counts, clock_ms, "live")], {})
-    with pytest.raises(RecordingError, match=said):
+    with pytest.raises(RecordingError, match=f"changes by {step} a frame; it must rise by milliseconds"):
         read_recordings(path)

@@ -29,4 +29,5 @@ class RealServer:
 
 
 if __name__ == "__main__":
-    fake_robot.main(None, RealServer)
+    fake_robot.QiServer = RealServer  # type: ignore[assignment,misc]
+    fake_robot.main()
