@@ -3,7 +3,6 @@
 import importlib
 import os
 import threading
-from types import SimpleNamespace
 from typing import Any
 
 from touchd.drivers.errors import one_line
@@ -55,10 +54,7 @@ class QiSession:
     def connect(self) -> None:
         if self._settings.user is not None:
             login = {"user": self._settings.user, "token": self._settings.read_token()}
-            # libqi calls these two by name.
-            authenticator = SimpleNamespace(initialAuthData=lambda: login)
-            authenticator.newAuthenticator = lambda: authenticator
-            self._session.setClientAuthenticatorFactory(authenticator)
+            self._session.setClientAuthenticatorFactory(_Authenticator(login))
         connecting = self._session.connect(self._settings.url, _async=True)
         try:
             self._value(connecting, self._limits.connect_s, "connecting")
@@ -97,3 +93,16 @@ class QiSession:
             # qi raises the same error for a lost link and for an error on the robot.
             why = one_line(" ".join(f"{what}: {error}".split()))
             raise (RobotRefused if self.connected() else RobotLost)(why) from error
+
+
+class _Authenticator:
+    """Logs in. libqi calls both methods by these names."""
+
+    def __init__(self, login: dict[str, str]) -> None:
+        self._login = login
+
+    def newAuthenticator(self) -> "_Authenticator":  # noqa: N802
+        return self
+
+    def initialAuthData(self) -> dict[str, str]:  # noqa: N802
+        return self._login
