@@ -30,7 +30,7 @@ from touchd.daemon.doctor.hand import (
     turned_with_a_hand,
 )
 from touchd.daemon.doctor.machine import certificate_at, check_robot, find_robot, robot_urls
-from touchd.daemon.doctor.port import advice_for, lasting_name, why_no_port
+from touchd.daemon.doctor.port import advice_for, lasting_name
 from touchd.drivers.errors import os_errors_as, within
 from touchd.drivers.installed import program_name
 from touchd.drivers.pad.format import PRESETS, PadFormat
@@ -84,8 +84,6 @@ def main(arguments: Sequence[str]) -> int:
             f"no configuration was written; how to describe a pad: {program_name()} docs pads", style="bold"
         )
         return 1
-    if found is None and (portless := why_no_port()):
-        console.print(portless, style="yellow")
     # Without a pad, assume a fabric pad's rate, which is not the first of the usual rates.
     unseen = Found(options.port or DEFAULT_PORT, options.baud or SensorSettings().baud, None)
     port, baud, described = found or unseen
