@@ -180,34 +180,23 @@ def _touched_corner(opened: Line, described: PadFormat, at_rest: Sequence[Chunk]
     parser = FrameParser(described)
     # The hand may be on the pad already.
     rest = [frame.pressure for chunk in at_rest for frame in parser.feed(*chunk)]
+    # When, at which row, at which column.
     held: list[tuple[float, float, float]] = []
     until_s = time.monotonic() + CORNER_S
     while time.monotonic() < until_s:
         for frame in parser.feed(read_waiting(opened, parser), time.monotonic()):
             rest = [*rest[-500:], frame.pressure]
             above = frame.pressure - np.percentile(np.array(rest), 20, axis=0)
-            is_pressed = len(rest) > 10 and above.max() > PRESSED_COUNTS
-            held = [*held, (frame.host_s, *_centre(above))] if is_pressed else []
-            if (corner := _corner_where_held(held)) is not None:
-                return corner
+            if len(rest) <= 10 or above.max() <= PRESSED_COUNTS:
+                held = []
+                continue
+            rows, columns = np.nonzero(above > above.max() / 2)
+            held.append((frame.host_s, float(rows.mean()), float(columns.mean())))
+            latest = np.array([place for at_s, *place in held if at_s >= frame.host_s - HELD_S])
+            if held[-1][0] - held[0][0] >= HELD_S and (np.ptp(latest, axis=0) <= HELD_TAXELS).all():
+                row, column = latest.mean(axis=0)
+                return bool(row > (ROWS - 1) / 2), bool(column > (COLUMNS - 1) / 2)
     return None
-
-
-def _centre(above: NDArray[np.float64]) -> tuple[float, float]:
-    """Return row and column of the middle of the pressed taxels."""
-    rows, columns = np.nonzero(above > above.max() / 2)
-    return float(rows.mean()), float(columns.mean())
-
-
-def _corner_where_held(held: Sequence[tuple[float, float, float]]) -> tuple[bool, bool] | None:
-    """Return the corner where a hand has stayed, None if it moves."""
-    if not held or held[-1][0] - held[0][0] < HELD_S:
-        return None
-    places = np.array([place for at_s, *place in held if at_s >= held[-1][0] - HELD_S])
-    if (np.ptp(places, axis=0) > HELD_TAXELS).any():
-        return None
-    row, column = places.mean(axis=0)
-    return bool(row > (ROWS - 1) / 2), bool(column > (COLUMNS - 1) / 2)
 
 
 def _follows(console: Console, opened: Line, described: PadFormat) -> bool:

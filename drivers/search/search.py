@@ -5,8 +5,7 @@ together most is proposed if a hand presses the pad and touchd's own parser read
 """
 
 import json
-import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from operator import attrgetter
@@ -46,19 +45,17 @@ MEANING = attrgetter("framing", "rows", "columns", "full_scale", "invert")
 ADVICE = "print each frame in a line, or a row a line and an empty line after each; begin bytes with a header"
 
 
-@dataclass(frozen=True)
-class Survey:
+class Survey(NamedTuple):
     """What a pad sends.
 
-    frame: how large a frame is, in words. rate_hz: frames a second. grid, why: its likely rows and columns,
-    None if none fit, and where they are from. is_shown: whether the frames show them.
+    frame: how large a frame is, in words. rate_hz: frames a second. grid: the rows and columns that the
+    frames show, None if they show none; why: how.
     """
 
     frame: str
     rate_hz: float
-    grid: Grid | None
-    why: str
-    is_shown: bool = True
+    grid: Grid | None = None
+    why: str = ""
 
 
 @dataclass(frozen=True)
@@ -75,46 +72,27 @@ class Finding:
     may_come: bool = False
 
 
-class Seen(NamedTuple):
-    """Frames of an unknown grid.
-
-    frame: how large one is, in words. shown: its lines and columns, if it is text. fits: possible numbers of
-    cells.
-    """
-
-    frame: str
-    rate_hz: float
-    shown: Grid | None
-    fits: list[int]
-
-
 def survey(chunks: Sequence[Chunk]) -> Survey | None:
     """Describe the frames in what arrived, without knowing the grid; None if there are none."""
     data, seconds = b"".join(chunk.data for chunk in chunks), seconds_of(chunks)
     lines = text.lines_of(data)
     seen = _of_bytes(data, seconds) if lines is None else _of_lines(lines, seconds)
-    if seen is None:
-        return None
-    frame, rate_hz, shown, fits = seen
-    if shown is not None and all(side in SIDES for side in shown):
-        return Survey(frame, rate_hz, shown, "as its lines show")
-    for name, preset in PRESETS.items():
-        if _is_read(preset, chunks):
-            return Survey(frame, rate_hz, (preset.rows, preset.columns), f"as {name}")
-    return Survey(frame, rate_hz, _squarest(fits), "the squarest", is_shown=False)
+    if seen is None or seen.grid is not None:
+        return seen
+    read = ((name, preset) for name, preset in PRESETS.items() if _is_read(preset, chunks))
+    name, preset = next(read, ("", None))
+    return seen._replace(grid=(preset.rows, preset.columns), why=f"as {name}") if preset else seen
 
 
-def _of_bytes(data: bytes, seconds: float) -> Seen | None:
+def _of_bytes(data: bytes, seconds: float) -> Survey | None:
     table = next(binary.tables(data), None)
     if table is None:
         return None
     length = table.shape[1] // 2
-    left = range(length - 1, max(length - binary.MOST_AROUND, 0), -1)
-    fits = [size // cell for size in left for cell in (1, 2, 4)]
-    return Seen(f"{length} bytes a frame", len(data) / length / seconds, None, fits)
+    return Survey(f"{length} bytes a frame", len(data) / length / seconds)
 
 
-def _of_lines(lines: Sequence[text.TextLine], seconds: float) -> Seen | None:
+def _of_lines(lines: Sequence[text.TextLine], seconds: float) -> Survey | None:
     # Log lines among frames of one line look like separators.
     found = text.printed(lines)
     usual = max(found, key=lambda each: len(each.numbers) >= MIN_RATE_HZ * seconds, default=None)
@@ -123,15 +101,9 @@ def _of_lines(lines: Sequence[text.TextLine], seconds: float) -> Seen | None:
     count, height, width = usual.numbers.shape
     # Numbers that count from frame to frame, or from line to line, are not cells.
     by_frame, by_line = (binary.counting(each) for each in (usual.numbers, usual.numbers.swapaxes(0, 1)))
-    shown = height, width - int((by_frame.all(axis=0) | by_line.all(axis=0)).sum())
-    return Seen(f"{height * width} numbers a frame", count / seconds, shown, [math.prod(shown)])
-
-
-def _squarest(fits: Iterable[int]) -> Grid | None:
-    """Return the squarest grid with one of these numbers of cells, at least as wide as high."""
-    sides = ((rows, each // rows) for each in fits for rows in SIDES if each % rows == 0)
-    grids = (each for each in sides if each[0] <= each[1] and each[1] in SIDES)
-    return min(grids, key=lambda grid: grid[1] / grid[0], default=None)
+    columns = width - int((by_frame.all(axis=0) | by_line.all(axis=0)).sum())
+    grid = (height, columns) if height in SIDES and columns in SIDES else None
+    return Survey(f"{height * width} numbers a frame", count / seconds, grid, "as its lines show")
 
 
 def search(chunks: Sequence[Chunk], grid: Grid | None) -> Finding:
@@ -144,10 +116,10 @@ def search(chunks: Sequence[Chunk], grid: Grid | None) -> Finding:
     saw = f"{len(data) / seconds_of(chunks):.0f} bytes/s of {text.looks_like(data)}"
     # A survey tries every preset, which takes longer than the rest of a search.
     seen = None if grid else survey(chunks)
-    grid = grid or (seen.grid if seen and seen.is_shown else None)
+    grid = grid or (seen.grid if seen else None)
     best = max(placements(chunks, grid), key=partial(_fit, chunks), default=None) if grid else None
     if best is None:
-        return Finding(None, _why_none_fits(data, seen or survey(chunks), grid), saw)
+        return Finding(None, _why_none_fits(seen or survey(chunks), grid), saw)
     return _judged(Placement(settled(best), best.values), chunks, saw)
 
 
@@ -193,9 +165,7 @@ def _fit(chunks: Sequence[Chunk], placed: Placement) -> tuple[float, bool, float
     return round(fit, 2), is_checked, round(fit, 4), -float(np.ptp(np.median(placed.values, axis=0)))
 
 
-def _why_none_fits(data: bytes, seen: Survey | None, grid: Grid | None) -> str:
-    if text.has_text(data):
-        return "print lines of numbers and nothing else"
+def _why_none_fits(seen: Survey | None, grid: Grid | None) -> str:
     if seen is None:
         return f"no frames, or a wrong baud rate: {ADVICE}"
     if grid is None:

@@ -21,8 +21,6 @@ MOSTLY = 0.9
 MOST_ENDS = 3
 # The largest share of unprintable characters in text: damage, or another encoding.
 FEW_SHARE = 0.02
-# With more, up to this, it is text with other bytes in it; of random bytes, two thirds are not printable.
-SOME_SHARE = 0.3
 EXCERPT_CHARACTERS, EXCERPT_BYTES = 60, 24
 NO_DIGITS = bytes(set(range(256)) - set(b"0123456789"))
 TextLine = tuple[list[float], str]
@@ -39,19 +37,9 @@ class Printed(NamedTuple):
 
 def is_text(data: bytes) -> bool:
     """Whether these bytes are printable text; text is never parsed as binary."""
-    return bool(data) and _odd_share(data) <= FEW_SHARE
-
-
-def has_text(data: bytes) -> bool:
-    """Whether these bytes are lines of text with other bytes in them."""
-    return b"\n" in data and FEW_SHARE < _odd_share(data) <= SOME_SHARE
-
-
-def _odd_share(data: bytes) -> float:
-    """Return the share of characters that are not printable."""
     counts = Counter(data.decode("utf-8", "replace"))
     odd = [each for each in counts if not (each.isprintable() or each in "\t\r\n\x1b") or each == "\ufffd"]
-    return sum(counts[each] for each in odd) / max(counts.total(), 1)
+    return bool(data) and sum(counts[each] for each in odd) <= FEW_SHARE * counts.total()
 
 
 def looks_like(data: bytes) -> str:
@@ -60,8 +48,6 @@ def looks_like(data: bytes) -> str:
         return "nothing"
     if not data.strip():
         return "only empty lines"
-    if has_text(data):
-        return f"text with other bytes in it, such as {data[-EXCERPT_BYTES:]!r}"
     if not is_text(data):
         return f"bytes that are not text, such as {data[-EXCERPT_BYTES:].hex(' ')}"
     lines = data[-4096:].decode("utf-8", "replace").splitlines()
