@@ -7,11 +7,10 @@ from typing import Literal
 
 import numpy as np
 
-from touchd.daemon.doctor.port import advice_for
 from touchd.drivers.errors import one_line
 from touchd.drivers.frame import Counts, Frame
 from touchd.drivers.pad.parser import FrameParser
-from touchd.drivers.pad.port import Line, SensorError, read_waiting
+from touchd.drivers.pad.port import Line, read_waiting
 from touchd.drivers.search.listen import MOST_BYTES, Chunk
 
 # Opening the port restarts an Arduino, whose boot loader takes two seconds.
@@ -44,18 +43,15 @@ class Sample:
     """What a pad sent in a while.
 
     frames: in order. damaged: frames refused as damaged after the first intact one. chunks: the bytes,
-    the latest megabyte. ended_s: when listening ended, `time.monotonic()`. broke_off: why the port could not
-    be read on, "" if it could; advice: what to do then. has_clock: whether the pad's clock dated the frames.
-    clipped: the share of frames with values above full scale.
+    the latest megabyte. ended_s: when listening ended, `time.monotonic()`. has_clock: whether the pad's clock
+    dated the frames. clipped: the share of frames with values above full scale.
     """
 
     frames: tuple[Frame, ...]
     damaged: int
     chunks: tuple[Chunk, ...]
     ended_s: float
-    broke_off: str
     has_clock: bool
-    advice: str = ""
     clipped: float = 0.0
 
     def counts(self) -> Counts:
@@ -72,19 +68,16 @@ def listen(
 ) -> Sample:
     """Listen for `seconds` after the first frame; without one, after the first bytes.
 
-    start_s: how long the first bytes may take. enough: ends listening at a frame if true.
+    start_s: how long the first bytes may take. enough: ends listening at a frame if true. Raises SensorError
+    when the port goes away.
     """
     frames: list[Frame] = []
     chunks: list[Chunk] = []
-    size, broke_off, advice, damaged_before, is_enough = 0, "", "", 0, False
+    size, damaged_before, is_enough = 0, 0, False
     now_s = time.monotonic()
     until_s = now_s + start_s
     while not is_enough and now_s < until_s:
-        try:
-            data = read_waiting(opened, parser)
-        except SensorError as error:
-            broke_off, advice = str(error), advice_for(str(opened.port), error)
-            break
+        data = read_waiting(opened, parser)
         now_s = time.monotonic()
         arrived = parser.feed(data, now_s)
         if (data and not chunks) or (arrived and not frames):
@@ -97,6 +90,4 @@ def listen(
             size -= len(chunks.pop(0).data)
     damaged = parser.counts.bad - damaged_before if frames else 0
     clipped = parser.counts.clipped / max(parser.counts.frames, 1)
-    return Sample(
-        tuple(frames), damaged, tuple(chunks), now_s, broke_off, parser.dates_frames, advice, clipped
-    )
+    return Sample(tuple(frames), damaged, tuple(chunks), now_s, parser.dates_frames, clipped)

@@ -10,6 +10,7 @@ from touchd.daemon.doctor.check import Check, Sample, listen
 from touchd.daemon.doctor.hand import find_with_a_hand, find_without_asking
 from touchd.daemon.doctor.line import check_damage, check_opening, check_protocol, check_rate
 from touchd.daemon.doctor.machine import check_model, check_robot, check_service
+from touchd.daemon.doctor.port import advice_for
 from touchd.daemon.doctor.values import (
     check_noise,
     check_orientation,
@@ -20,7 +21,7 @@ from touchd.daemon.doctor.values import (
     is_pressed,
 )
 from touchd.drivers.pad.parser import FrameParser
-from touchd.drivers.pad.port import Line
+from touchd.drivers.pad.port import Line, SensorError
 from touchd.drivers.search.search import Finding, Grid
 
 PRESS_S = 15.0
@@ -38,7 +39,16 @@ def examine(
     seconds: how long to listen to the pad. say: shows a line to the user. talk: the terminal of a user who
     can press the pad, if there is one. grid: the pad's rows and columns, if they were told.
     """
-    yield from _examine_pad(settings, seconds, say, talk, grid)
+    check, opened = check_opening(settings.sensor)
+    yield check
+    if opened is None:
+        yield Check("pad", "not checked", "there is no port to read it from")
+    else:
+        with opened:
+            try:
+                yield from _examine_pad(settings, opened, seconds, say, talk, grid)
+            except SensorError as error:
+                yield Check("pad", "to do", str(error), advice_for(settings.sensor.port, error))
     say("Loading the model ...")
     yield check_model(settings)
     if settings.robot is not None:
@@ -48,36 +58,36 @@ def examine(
 
 
 def _examine_pad(
-    settings: Settings, seconds: float, say: Say, talk: Console | None, grid: Grid | None
+    settings: Settings, opened: Line, seconds: float, say: Say, talk: Console | None, grid: Grid | None
 ) -> Iterator[Check]:
     sensor = settings.sensor
-    check, opened = check_opening(sensor)
-    yield check
-    if opened is None:
-        yield Check("pad", "not checked", "there is no port to read it from")
+    say(f"Leave the pad alone for {seconds:g} s ...")
+    sample = listen(opened, FrameParser(sensor.described), seconds)
+
+    def find() -> Finding:
+        if talk:
+            return find_with_a_hand(talk, opened, grid)[0]
+        configured = (sensor.described.rows, sensor.described.columns)
+        return find_without_asking(say, opened, (grid,) if grid else (configured, None))
+
+    yield check_protocol(sample, sensor, opened, find)
+    if len(sample.frames) < LEAST_FRAMES:
+        yield Check("pad", "not checked", "no frames arrive")
         return
-    with opened:
-        say(f"Leave the pad alone for {seconds:g} s ...")
-        sample = listen(opened, FrameParser(sensor.described), seconds)
-
-        def find() -> Finding:
-            if talk:
-                return find_with_a_hand(talk, opened, grid)[0]
-            configured = (sensor.described.rows, sensor.described.columns)
-            return find_without_asking(say, opened, (grid,) if grid else (configured, None))
-
-        yield check_protocol(sample, sensor, opened, find)
-        if len(sample.frames) < LEAST_FRAMES:
-            yield Check("pad", "not checked", "no frames arrive")
-            return
-        yield from _check_sample(sample, settings)
-        if talk is None and not sample.broke_off:
-            yield Check("orientation", "not checked", "asked for in a terminal only")
-        elif not sample.broke_off:
-            yield from _check_pressed(sample, settings, opened, say)
+    yield from _check_untouched(sample, settings)
+    if talk is None:
+        yield Check("orientation", "not checked", "asked for in a terminal only")
+        return
+    rest = np.median(sample.counts(), axis=0)
+    say(f"Press the pad's top left corner with a finger, within {PRESS_S:g} s ...")
+    parser = FrameParser(sensor.described)
+    pressed = listen(opened, parser, PRESS_S, enough=lambda frame: is_pressed(frame, rest))
+    yield check_orientation(pressed, rest, settings)
+    if pressed.frames:
+        yield from check_values(pressed, sensor.described.full_scale)
 
 
-def _check_sample(sample: Sample, settings: Settings) -> Iterator[Check]:
+def _check_untouched(sample: Sample, settings: Settings) -> Iterator[Check]:
     """Yield the checks of a pad that was left alone."""
     yield check_damage(sample)
     yield check_rate(sample)
@@ -90,14 +100,3 @@ def _check_sample(sample: Sample, settings: Settings) -> Iterator[Check]:
         yield Check("rest", "not checked", "measured only while nothing touches the pad")
     yield from check_taxels(sample)
     yield from check_values(sample, settings.sensor.described.full_scale)
-
-
-def _check_pressed(sample: Sample, settings: Settings, opened: Line, say: Say) -> Iterator[Check]:
-    """Ask for a press and yield the checks of it. sample: the pad at rest."""
-    described = settings.sensor.described
-    rest = np.median(sample.counts(), axis=0)
-    say(f"Press the pad's top left corner with a finger, within {PRESS_S:g} s ...")
-    pressed = listen(opened, FrameParser(described), PRESS_S, enough=lambda frame: is_pressed(frame, rest))
-    yield check_orientation(pressed, rest, settings)
-    if pressed.frames:
-        yield from check_values(pressed, described.full_scale)

@@ -4,21 +4,19 @@ import os
 from collections.abc import Callable
 
 import numpy as np
-from msgspec.structs import replace
 
 from touchd.daemon.app.config import SensorSettings
 from touchd.daemon.doctor.check import START_S, Check, Sample, Verdict, listen
 from touchd.daemon.doctor.machine import service_runs
 from touchd.daemon.doctor.port import advice_for
 from touchd.daemon.doctor.values import MANY_SHARE
-from touchd.drivers.frame import COLUMNS, MIN_RATE_HZ, ROWS
+from touchd.drivers.frame import MIN_RATE_HZ
 from touchd.drivers.pace import clock_by_ours, pace_of
-from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import Line, SensorError, at_baud, check_port, forget_waiting, open_port
 from touchd.drivers.search.listen import USUAL_BAUDS
 from touchd.drivers.search.search import Finding, as_yaml
-from touchd.drivers.search.text import is_text, looks_like
+from touchd.drivers.search.text import is_text
 
 TRY_BAUD_S = 0.5
 # Any rate from 8 Hz on is resampled to 54 Hz; answers are best from SLOW_HZ on. Below FEW_HZ, fast gestures,
@@ -28,9 +26,6 @@ FEW_HZ, SLOW_HZ = 20.0, 50.0
 CLEAN_SHARE = 0.001
 CLOCK_TOLERANCE = 0.05
 STOPPED_S = 1.0
-# Several frames of any grid that a serial port carries.
-RECENT_BYTES = 32768
-LEAST_FRAMES = 4
 
 TOO_SLOW: tuple[tuple[float, Verdict, str], ...] = (
     (MIN_RATE_HZ, "to do", f"{MIN_RATE_HZ:g} are needed"),
@@ -50,8 +45,7 @@ def check_opening(sensor: SensorSettings) -> tuple[Check, Line | None]:
         if error.kind == "busy" and service_runs():
             advice = "to look at the pad too: sudo systemctl stop touchd, and ask the doctor again"
             return Check("port", "not checked", "the service touchd reads it", advice), None
-        advice = advice_for(sensor.port, error)
-        return Check("port", "to do", str(error), advice), None
+        return Check("port", "to do", str(error), advice_for(sensor.port, error)), None
     device = f" ({os.path.realpath(sensor.port)})" if os.path.islink(sensor.port) else ""
     return Check("port", "ok", f"{sensor.port}{device}, found and permitted"), opened
 
@@ -63,40 +57,22 @@ def check_protocol(
 
     find: asks for a hand on the pad and searches what it sends.
     """
-    if sample.frames:
-        return _check_described(sensor)
-    if sample.broke_off:
-        return Check("protocol", "to do", sample.broke_off, sample.advice)
     described = sensor.described
+    if sample.frames:
+        return Check("protocol", "ok", f"{described}{at_baud(sensor.port, sensor.baud)}, as configured")
     data = b"".join(chunk.data for chunk in sample.chunks)
     if not data:
         advice = "is it the pad's port? press the reset button of its board; unplug it; flash its firmware"
         return Check("protocol", "to do", f"no data within {START_S:g} s", advice)
-    if _has_wrong_clock(data[-RECENT_BYTES:], described):
-        found = f"frames of {described} arrive, but their clock stands still or jumps"
-        return Check("protocol", "to do", found, SEND_A_CLOCK)
-    if not is_text(data) and (baud := _other_baud(sensor, opened)):
+    has_bauds = not is_text(data) and "://" not in sensor.port
+    if has_bauds and (baud := _other_baud(sensor, opened)):
         return Check("protocol", "to do", f"{described}, but at {baud} baud", f"set sensor.baud: {baud}")
     finding = find()
-    if finding.proposed is not None:
-        found = f"no frame of {described} in {looks_like(data[-RECENT_BYTES:])}"
-        return Check("protocol", "to do", found, f"set under sensor: {as_yaml(finding.proposed)}")
-    rates = ", ".join(map(str, sorted(USUAL_BAUDS)))
-    tried = "" if is_text(data) or "://" in sensor.port else f"; baud rates tried: {rates}"
     found = f"no frame of {described} in {finding.saw}"
+    if finding.proposed is not None:
+        return Check("protocol", "to do", found, f"set under sensor: {as_yaml(finding.proposed)}")
+    tried = f"; baud rates tried: {', '.join(map(str, sorted(USUAL_BAUDS)))}" if has_bauds else ""
     return Check("protocol", "to do", found, f"{finding.missing}{tried}")
-
-
-def _check_described(sensor: SensorSettings) -> Check:
-    """Report the format whose frames are decoded, and whether its crop leaves too little of a small pad."""
-    described = sensor.described
-    found = f"{described}{at_baud(sensor.port, sensor.baud)}, as configured"
-    rows, columns = described.used
-    if described.crop and (rows < ROWS or columns < COLUMNS):
-        found = f"{found}, of which only the inner {rows}x{columns} are used"
-        whole = as_yaml(replace(described, crop=0))
-        return Check("protocol", "warning", found, f"to leave out no cell, set under sensor: {whole}")
-    return Check("protocol", "ok", found)
 
 
 def _other_baud(sensor: SensorSettings, opened: Line) -> int | None:
@@ -107,7 +83,7 @@ def _other_baud(sensor: SensorSettings, opened: Line) -> int | None:
         try:
             opened.baudrate = baud
             forget_waiting(opened)
-        except (OSError, ValueError, SensorError):
+        except (OSError, ValueError):
             continue
         if listen(opened, FrameParser(sensor.described), TRY_BAUD_S, start_s=TRY_BAUD_S).frames:
             return baud
@@ -126,8 +102,6 @@ def check_damage(sample: Sample) -> Check:
 
 def check_rate(sample: Sample) -> Check:
     """Report frame rate, jitter, and the accuracy of the pad's clock."""
-    if sample.broke_off:
-        return Check("rate", "to do", sample.broke_off, sample.advice)
     if sample.ended_s - sample.frames[-1].host_s > STOPPED_S:
         return Check("rate", "to do", "the frames stopped during the check", "try another cable")
     pace = pace_of(sample.frames)
@@ -154,10 +128,3 @@ def check_rate(sample: Sample) -> Check:
     if pace.lost > CLEAN_SHARE * len(sample.frames):
         return Check("rate", "warning", f"{found}; {pace.lost} frames lost on the way", "", figures)
     return Check("rate", "ok", found, "", figures)
-
-
-def _has_wrong_clock(data: bytes, described: PadFormat) -> bool:
-    """Whether bytes, a few frames' worth, hold frames that are refused for their clock alone."""
-    parser = FrameParser(described)
-    parser.feed(data, 0.0)
-    return parser.counts.duplicates + parser.counts.bad_time >= LEAST_FRAMES

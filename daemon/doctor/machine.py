@@ -45,10 +45,9 @@ def check_model(settings: Settings) -> Check:
     """Load the model as the daemon does, and time its longest answer."""
     try:
         (classifier,) = load_models(settings).values()
-    except (ModelError, PathError) as error:
-        return Check("model", "to do", str(error), "leave model out of the settings to use the shipped one")
-    except ConfigError as error:
-        return Check("model", "to do", str(error), "make the scene fit the model, or export a model for it")
+    except (ModelError, PathError, ConfigError) as error:
+        shipped = "leave model out of the settings to use the shipped one"
+        return Check("model", "to do", str(error), "" if isinstance(error, ConfigError) else shipped)
     frames = settings.scene.answer_at_frames[-1]
     window = np.zeros((frames, ROWS, COLUMNS), dtype=np.float32)
     took_s = timeit.repeat(lambda: classifier.probabilities(window), number=1, repeat=TIMED_ANSWERS)
@@ -115,27 +114,23 @@ def certificate_at(url: str) -> str | None:
 
 def check_robot(settings: Settings) -> Check:
     """Connect to the configured robot and ask for its version, within a few seconds."""
-    if settings.robot is None:
-        return Check("robot", "ok", "none is configured")
     wanted = settings.robot
-    scheme, _, _ = wanted.address
-    shown = certificate_at(wanted.url) if scheme == "tcps" else None
-    is_unknown = shown is not None and wanted.pinned is None
-    pin = f"if it is your robot, set robot.certificate: {shown}" if is_unknown else ""
+    if wanted is None:
+        return Check("robot", "ok", "none is configured")
+    shown = certificate_at(wanted.url) if wanted.address[0] == "tcps" else None
+    pin = f"if it is your robot, set robot.certificate: {shown}" if shown and wanted.pinned is None else ""
     try:
         version, took_s = _ask_version(wanted)
     except (RobotError, PathError) as error:
-        advice = pin or f"{program_name()} docs install says how to wire a robot"
-        return Check("robot", "to do", str(error), advice)
+        wire = f"{program_name()} docs install says how to wire a robot"
+        return Check("robot", "to do", str(error), pin or wire)
     except (RobotLost, RobotRefused) as error:
-        advice = "is that a robot with NAOqi? check robot.url"
         if shown and not wanted.user:
-            advice = (
-                f"set robot.user and robot.token_file ({program_name()} docs install){pin and f'; {pin}'}"
-            )
-            return Check("robot", "to do", f"{wanted.url} answers, and asks for a login", advice)
-        if isinstance(error, RobotLost):
-            advice = "is it switched on, and can this machine reach it? ping it; check robot.url"
+            login = f"set robot.user and robot.token_file ({program_name()} docs install)"
+            found = f"{wanted.url} answers, and asks for a login"
+            return Check("robot", "to do", found, f"{login}{pin and f'; {pin}'}")
+        reach = "is it switched on, and can this machine reach it? ping it; check robot.url"
+        advice = reach if isinstance(error, RobotLost) else "is that a robot with NAOqi? check robot.url"
         return Check("robot", "to do", f"{wanted.url}: {error}", advice)
     found = f"NAOqi {version} at {wanted.url}, reached in {1000 * took_s:.0f} ms"
     return Check("robot", "ok", found, pin, {"reached_ms": round(1000 * took_s, 1)})
@@ -159,21 +154,16 @@ def check_service() -> Check:
     state = _unit_state()
     if state is None:
         return Check("service", "not checked", "no systemd answers on this machine")
+    active, restarts = state["ActiveState"], state["NRestarts"]
     if state["LoadState"] != "loaded":
-        return Check(
-            "service", "ok", f"no {UNIT} service is installed; {program_name()} docs install says how"
-        )
-    if state["ActiveState"] == "failed":
-        return Check(
-            "service",
-            "to do",
-            f"failed ({state['Result'] or 'no reason given'})",
-            f"sudo journalctl -u {UNIT} -e says why; then sudo systemctl restart {UNIT}",
-        )
-    if state["ActiveState"] != "active":
-        return Check("service", "warning", f"installed, but {state['ActiveState'] or 'not active'}")
+        return Check("service", "ok", f"no {UNIT} service is installed")
+    if active == "failed":
+        advice = f"sudo journalctl -u {UNIT} -e says why; then sudo systemctl restart {UNIT}"
+        return Check("service", "to do", f"failed ({state['Result']})", advice)
+    if active != "active":
+        return Check("service", "warning", f"installed, but {active or 'not active'}")
     found = f"runs: {state['StatusText'] or state['SubState']}"
-    if (restarts := state["NRestarts"]) not in ("", "0"):
+    if restarts not in ("", "0"):
         return Check("service", "warning", f"{found}; it was restarted {restarts} times")
     if state["UnitFileState"] == "disabled":
         return Check("service", "warning", f"{found}; but it is not started at boot")
@@ -182,8 +172,7 @@ def check_service() -> Check:
 
 def service_runs() -> bool:
     """Return whether systemd runs the service now."""
-    state = _unit_state()
-    return state is not None and state["ActiveState"] == "active"
+    return (_unit_state() or {}).get("ActiveState") == "active"
 
 
 def _unit_state() -> dict[str, str] | None:

@@ -7,12 +7,12 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from touchd.daemon.app.config import Settings
-from touchd.daemon.doctor.check import Check, Sample, Verdict
+from touchd.daemon.doctor.check import Check, Sample
 from touchd.daemon.path.monitor import FAULTS, STILL_S, TaxelFaults, places
 from touchd.daemon.path.pipeline import tracker_of
 from touchd.daemon.path.tracker import Onset
 from touchd.drivers.frame import COLUMNS, MAX_COUNT, ROWS, Frame
-from touchd.drivers.pace import steps_ms
+from touchd.drivers.pace import pace_of, steps_ms
 from touchd.drivers.pad.grid import Ring
 from touchd.drivers.search.search import as_yaml
 from touchd.model.classifier import KNOWN_REST_COUNTS, Classifier
@@ -28,11 +28,10 @@ CORNER_ROWS = (0, 1, 6, 7)
 
 # The most noise that an untouched taxel may have.
 MOST_NOISE_COUNTS = 4.0
-# A vibration of the whole pad: a sine of this amplitude that explains half of what the mean varies, and that
-# the lower quarter of the taxels follows at 0.4 of the upper tenth.
-LEAST_SINE_COUNTS, EXPLAINED, QUARTER_SHARE = 0.5, 0.5, 0.4
-# A loose line steps by this much within a few frames, and back, while the taxels beside it move by a quarter.
-STEP_FRAMES, LEAST_STEP_COUNTS, OTHERS_SHARE = 12, 2.0, 0.25
+# A vibration of the whole pad: a sine of this amplitude that explains half of what the mean varies.
+LEAST_SINE_COUNTS, EXPLAINED = 0.5, 0.5
+# A loose line steps by this much within a few frames, and back, and four times as far as most lines.
+STEP_FRAMES, LEAST_STEP_COUNTS, ALONE = 12, 2.0, 4.0
 # A quarter of the taxels at this count is too heavy a load, or a short.
 SATURATED_COUNT = 1000
 # Values jump if a taxel reads this much more, or less, than in the frames before and after, in a third of
@@ -83,58 +82,46 @@ def check_noise(sample: Sample) -> Check:
     figures = {"noise_counts": round(usual, 2), "highest_noise_counts": round(highest, 2)}
     found = f"{usual:.1f} counts a taxel, {highest:.1f} at most"
     loud = noise > MOST_NOISE_COUNTS
+    is_loud = loud.sum() > ROWS * COLUMNS // 2
     supply = "try another USB port or supply, and a cable away from motors; connect the grounds"
-    if sine := _vibration(counts, sample):
-        verdict: Verdict = "to do" if loud.sum() > ROWS * COLUMNS // 2 else "warning"
-        return Check("noise", verdict, f"{found}: {sine}", supply, figures)
-    if loud.sum() > ROWS * COLUMNS // 2:
+    wires = "look at the wires and plugs there; light touches are missed until they are mended"
+    if hum := _hum(counts, pace_of(sample.frames).rate_hz):
+        return Check("noise", "to do" if is_loud else "warning", f"{found}: {hum}", supply, figures)
+    if is_loud:
         return Check("noise", "to do", f"{found}: the whole pad is noisy", supply, figures)
     if line := _loose_line(counts):
-        advice = "look at that wire and its plug; light touches are missed until it is mended"
-        return Check("noise", "to do", f"{found}: the values of {line} jump together", advice, figures)
+        return Check("noise", "to do", f"{found}: the values of {line} jump together", wires, figures)
     if loud.any():
-        advice = "look at the wires there; light touches are missed until they are mended"
-        return Check("noise", "to do", f"{found}: {places(loud)} is noisy", advice, figures)
+        return Check("noise", "to do", f"{found}: {places(loud)} is noisy", wires, figures)
     return Check("noise", "ok", found, "", figures)
 
 
-def _vibration(counts: NDArray[np.float64], sample: Sample) -> str:
-    """Name the sine that all taxels of (T, 8, 8) counts follow, as mains hum or a motor makes; "" if none."""
-    series = counts.reshape(len(counts), -1)
-    window = np.hanning(len(series))
-    waves = np.fft.rfft((series - series.mean(axis=0)) * window[:, None], axis=0) * 2 / window.sum()
-    common = np.abs(waves.mean(axis=1))
+def _hum(counts: NDArray[np.float64], rate_hz: float) -> str:
+    """Describe a sine in the mean of (T, 8, 8) counts, as mains hum or a motor makes; "" if there is none."""
+    mean = counts.mean(axis=(1, 2))
+    window = np.hanning(len(mean))
+    amplitudes = np.abs(np.fft.rfft((mean - mean.mean()) * window)) * 2 / window.sum()
     # Drift and breathing lie below the fourth line.
-    at = int(common[4:].argmax()) + 4 if len(common) > 4 else 0
-    variance = float(series.mean(axis=1).var())
-    if at == 0 or common[at] < LEAST_SINE_COUNTS or common[at] ** 2 / 2 < EXPLAINED * variance:
+    amplitudes[:4] = 0
+    at = int(amplitudes.argmax())
+    if amplitudes[at] < LEAST_SINE_COUNTS or amplitudes[at] ** 2 / 2 < EXPLAINED * mean.var():
         return ""
-    follows = np.sort((waves[at] / waves[at].mean()).real)
-    if follows[len(follows) // 4] < QUARTER_SHARE * follows[9 * len(follows) // 10]:
-        return ""
-    rate_hz = 1000 * (len(series) - 1) / max(int(steps_ms(sample.frames).sum()), 1)
-    swings = f"all taxels swing together by {common[at]:.1f} counts, at {at * rate_hz / len(series):.0f} Hz"
+    swings = f"all taxels swing together by {amplitudes[at]:.1f} counts, at {at * rate_hz / len(mean):.0f} Hz"
     return f"{swings} as sampled: mains hum, or a motor"
 
 
 def _loose_line(counts: NDArray[np.float64]) -> str:
-    """Name the row or column whose taxels jump together and back while the others keep still; "" if none."""
+    """Name the row or column of (T, 8, 8) counts that jumps up and down while others do not; "" if none."""
     kept = np.cumsum(counts, axis=0)
     smooth = (kept[3:] - kept[:-3]) / 3
-    change = smooth[STEP_FRAMES:] - smooth[:-STEP_FRAMES]
-    if not len(change):
+    # Most of a line's taxels follow it; a single noisy one is not a line.
+    lines = np.concatenate([np.median(smooth, axis=2), np.median(smooth, axis=1)], axis=1)
+    steps = lines[STEP_FRAMES:] - lines[:-STEP_FRAMES]
+    if not len(steps):
         return ""
-    lines = np.concatenate([change.mean(axis=2), change.mean(axis=1)], axis=1)
-    jumps = np.abs(lines).max(axis=0)
+    jumps = np.minimum(steps.max(axis=0), -steps.min(axis=0))
     line = int(jumps.argmax())
-    is_on_line = np.zeros((ROWS, COLUMNS), dtype=np.bool_)
-    is_on_line[(line,) if line < ROWS else np.s_[:, line - ROWS]] = True
-    others, step = np.abs(change[:, ~is_on_line]).mean(axis=1), lines[:, line]
-    share = OTHERS_SHARE * np.abs(step)
-    # Most of the line's taxels follow it; a single noisy one is not a line.
-    follows = np.quantile(change[:, is_on_line] * np.sign(step)[:, None], 1 / 4, axis=1) >= share
-    is_alone = (np.abs(step) >= LEAST_STEP_COUNTS) & (others <= share) & follows
-    if not ((step[is_alone] > 0).any() and (step[is_alone] < 0).any()):
+    if jumps[line] < max(LEAST_STEP_COUNTS, ALONE * float(np.median(jumps))):
         return ""
     return f"row {line + 1}" if line < ROWS else f"column {line - ROWS + 1}"
 
@@ -162,13 +149,8 @@ def check_taxels(sample: Sample) -> list[Check]:
     """Report dead and stuck taxels, one check for each kind of fault."""
     listened_s = float(steps_ms(sample.frames).sum()) / 1000
     if listened_s < HEALTH_S:
-        return [
-            Check(
-                "taxels",
-                "not checked",
-                f"needs frames for {HEALTH_S:g} s; they arrived for {listened_s:.1f} s",
-            )
-        ]
+        short = f"needs frames for {HEALTH_S:g} s; they arrived for {listened_s:.1f} s"
+        return [Check("taxels", "not checked", short)]
     if not sample.counts().std(axis=0).any():
         advice = "press all over the pad in touchd run --view: where nothing lights up, it is broken"
         found = "no value changed: the pad is silent at rest, or it hangs"
@@ -196,8 +178,6 @@ def _place(above: NDArray[np.float64]) -> tuple[int, int]:
 def check_orientation(sample: Sample, rest: NDArray[np.float64], settings: Settings) -> Check:
     """Report where a press on the top left corner shows, in the sample's last frame, or that values fall."""
     again = "run touchd doctor again, and press the corner"
-    if sample.broke_off:
-        return Check("orientation", "to do", sample.broke_off, sample.advice)
     if not sample.frames:
         return Check("orientation", "not checked", "no frames came", again)
     if not is_pressed(sample.frames[-1], rest):

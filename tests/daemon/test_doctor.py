@@ -63,6 +63,17 @@ def test_a_missing_port_says_what_to_do_within_80_columns(capsys: pytest.Capture
     assert all(len(line) <= 80 for line in shown.splitlines())
 
 
+def test_a_pad_unplugged_during_the_checks_is_reported_before_the_others() -> None:
+    with pad_of(resting(4.0)) as port:
+        checks = examine(Settings(sensor=SensorSettings(port=port.path)), 60.0, lambda line: None)
+        assert next(checks).name == "port"
+        port.stop()
+        gone, model, *_ = checks
+    assert (gone.verdict, model.name) == ("to do", "model")
+    assert "unplugged" in gone.found
+    assert gone.advice.startswith("plug the pad in")
+
+
 def test_a_port_busy_with_the_service_is_recognised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     port = pad_of(resting(1.0))
     settings = Settings(sensor=SensorSettings(port=port.path))
