@@ -52,7 +52,6 @@ def main(arguments: Sequence[str]) -> int:
     # If torch is missing, fail before recording, not after.
     with Console(stderr=True).status("loading torch"):
         from touchd.model.adapt.folder import files_of, read_file
-        from touchd.model.adapt.head import AdaptSettings
         from touchd.model.adapt.output import check_output
         from touchd.model.adapt.report import is_better, report_lines
         from touchd.model.adapt.ship import adapt_folder
@@ -68,7 +67,7 @@ def main(arguments: Sequence[str]) -> int:
     try:
         _record(console, options, found.settings)
         console.print("\nLearning from them takes about a minute.")
-        adapted = adapt_folder(options.folder, output, AdaptSettings())
+        adapted = adapt_folder(options.folder, output)
         words = words_of(found.settings)
         for line in report_lines(adapted, {label: name_of(words, label) for label in adapted.labels}):
             console.print(line)

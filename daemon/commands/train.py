@@ -50,11 +50,10 @@ def main(arguments: Sequence[str]) -> int:
     with Console(stderr=True).status("loading torch"):
         import torch  # noqa: F401
 
-        from touchd.model.adapt.head import AdaptSettings
         from touchd.model.adapt.report import report_lines
         from touchd.model.adapt.ship import adapt_folder
 
-    adapted = adapt_folder(options.extra, output, AdaptSettings(), options.keep_all, labels)
+    adapted = adapt_folder(options.extra, output, options.keep_all, labels)
     for line in report_lines(adapted):
         sys.stdout.write(f"{line}\n")
     gestures = ", ".join(label for label in adapted.labels if label not in (NO_TOUCH, OTHER))

@@ -18,7 +18,7 @@ from tqdm import tqdm
 from touchd.drivers.frame import NO_TOUCH
 from touchd.drivers.recording import Recording
 from touchd.model.adapt.augment import Frames, begin_from_rest, crop, vary
-from touchd.model.adapt.passing import WINDOW_FRAMES, InPassing
+from touchd.model.adapt.passing import IN_PASSING, WINDOW_FRAMES, InPassing
 from touchd.model.settings import LENGTHS, AugmentationSettings
 from touchd.model.tgc import TGC
 
@@ -57,7 +57,7 @@ class CropFeatures:
 
 @dataclass(frozen=True, eq=False)
 class WindowFeatures:
-    """Summaries of the windows of one length: values (W, features), recordings (W,) they are cut from."""
+    """Summaries of windows: values (W, features), recordings (W,) they are cut from."""
 
     values: Tensor
     recordings: NDArray[np.int64]
@@ -75,10 +75,11 @@ def crops(
 ) -> CropFeatures:
     """Return summaries of `each` random crops of every recording, varied as in training."""
     rng = torch.Generator().manual_seed(seed)
-    counts = [torch.from_numpy(recording.counts.astype(np.float32)) for recording in recordings]
+    longest = LEARNT_LENGTHS[-1]
+    frames = Frames.of([_filled(recording.counts, longest) for recording in recordings])
+    lengths = [longest if isinstance(each, InPassing) else len(each.counts) for each in recordings]
     resting = _resting(recordings)
-    length = LEARNT_LENGTHS[-1]
-    frames = Frames.of([_filled(each, length) for each in counts])
+    still = msgspec.structs.replace(settings, **AS_IT_IS)
     values = []
     shown = tqdm(recordings, desc="preparing", bar_format=BAR, leave=False, disable=None)
     for i, recording in enumerate(shown):
@@ -86,52 +87,42 @@ def crops(
             touches, ends = varied_touches(recording, each, rng)
             values.append(backbone.at_own_lengths(vary(touches, settings, rng), ends))
             continue
-        own = settings
-        if len(counts[i]) <= length:
-            own = msgspec.structs.replace(settings, **AS_IT_IS)
-        windows = crop(frames, torch.full((each,), i), length, own, rng)
+        own = settings if lengths[i] > longest else still
+        windows = crop(frames, torch.full((each,), i), longest, own, rng)
         if rests := resting.get(recording.participant, resting.get(None, [])):
             chosen = torch.tensor(rests)[torch.randint(len(rests), (each,), generator=rng)]
-            still = crop(frames, chosen, length, msgspec.structs.replace(own, **AS_IT_IS), rng)
-            windows = begin_from_rest(windows, still, own, rng)
+            windows = begin_from_rest(windows, crop(frames, chosen, longest, still, rng), own, rng)
         values.append(backbone.at_lengths(vary(windows, settings, rng), LEARNT_LENGTHS))
-    lengths = torch.tensor(
-        [length if isinstance(recording, InPassing) else len(recording.counts) for recording in recordings]
-    )
-    within = lengths[:, None] >= torch.tensor(LEARNT_LENGTHS)
+    within = torch.tensor(lengths)[:, None] >= torch.tensor(LEARNT_LENGTHS)
     return CropFeatures(torch.stack(values), within, tuple(recording.gesture for recording in recordings))
 
 
 def windows(backbone: TGC, recordings: Sequence[Recording]) -> dict[int, WindowFeatures]:
-    """Return the summaries of consecutive windows, cut as HAART's are, for each answered length."""
-    found = {}
+    """Return the summaries of consecutive windows, cut as HAART's are, for each answered length.
+
+    At IN_PASSING: of touches in passing, when the daemon answers them.
+    """
+    passing = [(i, each) for i, each in enumerate(recordings) if isinstance(each, InPassing)]
+    long = [(i, each) for i, each in enumerate(recordings) if not isinstance(each, InPassing)]
+    found = {IN_PASSING: _summaries(backbone, [(i, *when_answered(each)) for i, each in passing])}
     for length in LENGTHS:
         cut = [
-            (owner, recording.counts[start : start + length])
-            for owner, recording in enumerate(recordings)
-            if not isinstance(recording, InPassing)
+            (i, recording.counts[start : start + length], length)
+            for i, recording in long
             for start in _starts(len(recording.counts), length)
         ]
-        values = [torch.zeros(0, 3 * backbone.settings.width)]
-        for i in range(0, len(cut), BATCH):
-            batch = np.stack([window for _, window in cut[i : i + BATCH]])
-            values.append(backbone(torch.from_numpy(batch.astype(np.float32))))
-        owners = np.array([owner for owner, _ in cut], dtype=np.int64)
-        found[length] = WindowFeatures(torch.cat(values), owners)
+        found[length] = _summaries(backbone, cut)
     return found
 
 
-def ended(backbone: TGC, recordings: Sequence[Recording]) -> WindowFeatures:
-    """Return the summaries of touches in passing when the daemon answers them."""
-    owners = [i for i, recording in enumerate(recordings) if isinstance(recording, InPassing)]
-    if not owners:
-        return WindowFeatures(torch.zeros(0, 3 * backbone.settings.width), np.zeros(0, np.int64))
-    touches, lengths = when_answered([each for each in recordings if isinstance(each, InPassing)])
-    values = [
-        backbone.at_own_lengths(touches[i : i + BATCH], lengths[i : i + BATCH]).squeeze(1)
-        for i in range(0, len(owners), BATCH)
-    ]
-    return WindowFeatures(torch.cat(values), np.array(owners, dtype=np.int64))
+def _summaries(backbone: TGC, cut: Sequence[tuple[int, NDArray[np.generic], int]]) -> WindowFeatures:
+    """cut: of each window the recording, its counts (T, 8, 8), and after how many of them to answer."""
+    values = [torch.zeros(0, 3 * backbone.settings.width)]
+    for i in range(0, len(cut), BATCH):
+        _, counts, lengths = zip(*cut[i : i + BATCH], strict=True)
+        batch = torch.from_numpy(np.stack(counts).astype(np.float32))
+        values.append(backbone.at_own_lengths(batch, torch.tensor(lengths)[:, None]).squeeze(1))
+    return WindowFeatures(torch.cat(values), np.array([i for i, *_ in cut], dtype=np.int64))
 
 
 def _starts(frames: int, length: int) -> list[int]:
@@ -151,10 +142,10 @@ def _resting(recordings: Sequence[Recording]) -> dict[str | None, list[int]]:
     return resting
 
 
-def _filled(counts: Tensor, length: int) -> Tensor:
+def _filled(counts: NDArray[np.generic], length: int) -> Tensor:
     """Return at least `length` frames, the last one repeated where there are fewer."""
     missing = max(0, length - len(counts))
-    return torch.cat([counts, counts[-1:].expand(missing, -1, -1)]) if missing else counts
+    return torch.from_numpy(np.pad(counts.astype(np.float32), ((0, missing), (0, 0), (0, 0)), "edge"))
 
 
 def varied_touches(recording: InPassing, each: int, rng: torch.Generator) -> tuple[Tensor, Tensor]:
@@ -170,11 +161,10 @@ def varied_touches(recording: InPassing, each: int, rng: torch.Generator) -> tup
     return _laid(recording, lead, pace), torch.where(usual <= over[:, None], usual, ends)
 
 
-def when_answered(recordings: Sequence[InPassing]) -> tuple[Tensor, Tensor]:
-    """Return (N, WINDOW_FRAMES, 8, 8) counts and the lengths (N, 1) after which the daemon answers."""
-    windows = [_laid(each, torch.tensor([float(EARLIEST_FRAMES)]), torch.ones(1)) for each in recordings]
-    lengths = [each.over - each.first + EARLIEST_FRAMES + AFTER_FRAMES for each in recordings]
-    return torch.cat(windows), torch.tensor(lengths)[:, None].clamp(1, WINDOW_FRAMES)
+def when_answered(recording: InPassing) -> tuple[NDArray[np.float32], int]:
+    """Return (WINDOW_FRAMES, 8, 8) counts and the number of frames after which the daemon answers."""
+    (window,) = _laid(recording, torch.tensor([float(EARLIEST_FRAMES)]), torch.ones(1)).numpy()
+    return window, min(recording.over - recording.first + EARLIEST_FRAMES + AFTER_FRAMES, WINDOW_FRAMES)
 
 
 def _laid(recording: InPassing, lead: Tensor, pace: Tensor) -> Tensor:

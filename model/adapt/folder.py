@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchd.drivers.errors import TouchdError, os_errors_as
-from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH
+from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, NO_TOUCH, ROWS, Counts
 from touchd.drivers.recording import (
     SUFFIXES,
     UNLABELLED,
@@ -26,8 +27,6 @@ from touchd.model.classifier import LONGEST_LABEL, MOST_LABELS, as_known
 
 # The first answer needs 54 frames.
 SHORTEST_FRAMES = 54
-# Ten hours at 54 Hz, a quarter of a gigabyte.
-MOST_FRAMES = 2_000_000
 GESTURE = re.compile(rf"[A-Za-z0-9][A-Za-z0-9_-]{{0,{LONGEST_LABEL - 1}}}")
 # Reserved: events use it in place of a gesture.
 RESERVED = "uncertain"
@@ -73,15 +72,18 @@ def read_all(
         for recording in found:
             _check(path, recording, first_of)
         recordings += found
-        if sum(len(each.counts) for each in recordings) > MOST_FRAMES:
-            raise ExtraError(f"{folder}: more than {MOST_FRAMES} frames; name a folder with fewer")
     if not recordings and passed_over[NO_LABEL]:
         raise ExtraError(
             f"{folder}: nobody has said what its touches were, or the journal that says it is not beside the "
             "folder; label touches on the live page (live.label) or with `touchd run --view`"
         )
     _check_gestures(folder, {recording.gesture for recording in recordings}, known, keep_all)
-    return Read(_as_known(_by_the_only_one(recordings)), +passed_over)
+    people = {recording.participant for recording in recordings} - {UNLABELLED}
+    if len(people) == 1:
+        # The daemon saves touches without a name.
+        (person,) = people
+        recordings = [replace(recording, participant=person) for recording in recordings]
+    return Read(_as_known(recordings), +passed_over)
 
 
 def _labelled(parts: list[Recording], label: str) -> list[Recording]:
@@ -93,33 +95,24 @@ def _labelled(parts: list[Recording], label: str) -> list[Recording]:
     return [replace(named[0], counts=counts, sensor_ms=np.concatenate([part.sensor_ms for part in parts]))]
 
 
-def _by_the_only_one(recordings: Sequence[Recording]) -> list[Recording]:
-    """Ascribe touches of unknown people to the only person that the other recordings name."""
-    people = {recording.participant for recording in recordings} - {UNLABELLED}
-    if len(people) != 1:
-        return [*recordings]
-    return [replace(recording, participant=next(iter(people))) for recording in recordings]
-
-
 def _as_known(recordings: Sequence[Recording]) -> list[Recording]:
     """Apply `as_known` with the rest of each recording's own set-up, or else of any other."""
-    untouched = [recording for recording in recordings if recording.gesture == NO_TOUCH]
-    rests = {set_up(each): np.median(each.counts, axis=0).astype(np.float32) for each in reversed(untouched)}
-    known = []
+    resting = [recording for recording in recordings if recording.gesture == NO_TOUCH]
+    rests = {set_up(each): _median(each.counts) for each in reversed(resting)}
+    usual = next(iter(rests.values()), np.zeros((ROWS, COLUMNS), np.float32))
+    found = []
     for each in recordings:
-        counts = each.counts.astype(np.float32)
+        rest = rests.get(set_up(each), usual)
         if isinstance(each, InPassing):
             # Before the touch, if there is enough of it: afterwards a fabric's rest has shifted.
-            before, after = each.counts[: each.first], each.counts[each.over :]
-            chosen = before if len(before) >= LEAST_AFTER_FRAMES else after
-            rest = np.median(chosen, axis=0).astype(np.float32)
-        elif rests:
-            rest = rests.get(set_up(each), next(iter(rests.values())))
-        else:
-            rest = np.zeros(counts.shape[1:], np.float32)
-        seen = as_known(counts, rest)
-        known.append(each if seen is counts else replace(each, counts=seen))
-    return known
+            is_enough = each.first >= LEAST_AFTER_FRAMES
+            rest = _median(each.counts[: each.first] if is_enough else each.counts[each.over :])
+        found.append(replace(each, counts=as_known(each.counts.astype(np.float32), rest)))
+    return found
+
+
+def _median(counts: Counts | NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.median(counts, axis=0).astype(np.float32)
 
 
 def files_of(folder: Path) -> list[Path]:
@@ -127,8 +120,6 @@ def files_of(folder: Path) -> list[Path]:
 
     Raises ExtraError if it is not a folder.
     """
-    if folder.is_file():
-        raise ExtraError(f"{folder}: is a file; name the folder that it is in")
     with os_errors_as(ExtraError, f"{folder}: cannot be read", "check the path"):
         found = sorted(path for path in folder.iterdir() if path.name.endswith(SUFFIXES))
     return [path for path in found if not path.name.startswith(".")]
@@ -160,15 +151,11 @@ def trouble_with(gestures: Collection[str], known: Collection[str] = ()) -> str:
 
 def _check(path: Path, recording: Recording, first_of: dict[bytes, Path]) -> None:
     """Raise ExtraError if a recording cannot be used. first_of: files so far, by digest of their counts."""
-    gesture = recording.gesture
-    if why := trouble_with({gesture}):
-        raise ExtraError(f"{path}: {why}")
-    if not recording.participant.strip():
-        raise ExtraError(f"{path}: does not say who touches; put a name into its first column")
     if len(recording.counts) < SHORTEST_FRAMES and not isinstance(recording, InPassing):
+        length_s, least_s = len(recording.counts) / FRAME_RATE_HZ, SHORTEST_FRAMES / FRAME_RATE_HZ
         raise ExtraError(
-            f"{path}: {len(recording.counts) / FRAME_RATE_HZ:.2f} s of {gesture} without a gap, and at least "
-            f"{SHORTEST_FRAMES / FRAME_RATE_HZ:g} s is needed; record it again, or delete the file"
+            f"{path}: {length_s:.2f} s of {recording.gesture} without a gap, and at least {least_s:g} s is "
+            "needed; record it again, or delete the file"
         )
     # A duplicate could be on both sides of a fold.
     digest = hashlib.sha256(recording.counts.tobytes()).digest()
@@ -180,11 +167,9 @@ def _check(path: Path, recording: Recording, first_of: dict[bytes, Path]) -> Non
 def _check_gestures(folder: Path, gestures: set[str], known: Sequence[str], keep_all: bool) -> None:
     if why := trouble_with(gestures, known):
         raise ExtraError(f"{folder}: {why}")
-    if not gestures - {NO_TOUCH}:
-        raise ExtraError(f"{folder}: nothing but {NO_TOUCH}; record gestures too")
     if len(gestures) < 2:
         raise ExtraError(
-            f"{folder}: nothing but {', '.join(gestures)}; telling apart takes two, so record {NO_TOUCH} too"
+            f"{folder}: nothing but {', '.join(gestures)}; telling apart takes two, so record another too"
         )
     labels = gestures.union(known if keep_all else (), {NO_TOUCH})
     if len(labels) > MOST_LABELS:

@@ -1,8 +1,14 @@
-"""Accuracy on held-out recordings before and after adapting, with confidence intervals."""
+"""Accuracy on held-out recordings before and after adapting, with confidence intervals.
+
+With two or more participants, participants are held out; with one, recordings. Windows of a recording are
+never on both sides. A held-out recording is evaluated only if the fold trains on its gesture.
+"""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -10,25 +16,64 @@ from numpy.typing import NDArray
 from scipy.special import log_softmax, stdtrit
 
 from touchd.drivers.recording import Recording
-from touchd.model.adapt.plan import LeftOut
+from touchd.model.adapt.passing import IN_PASSING
 from touchd.model.settings import LENGTHS
 
+LeftOut = Literal["participants", "recordings", "nothing"]
 Floats = NDArray[np.float64]
+MOST_PARTICIPANT_FOLDS = 20
+MOST_RECORDING_FOLDS = 4
 # Two-sided 95 %.
 UPPER = 0.975
 
 
-@dataclass(frozen=True, eq=False)
-class Answers:
-    """Logits for held-out windows of one length, over the labels of the adapted model.
+@dataclass(frozen=True)
+class Fold:
+    """Numbers of the recordings to train on and of those held out and evaluated."""
 
-    recordings: (W,) number of each window's recording. before, after: logits (W, labels); before is -inf for
-    gestures that the shipped model does not know.
-    """
+    trained: tuple[int, ...]
+    evaluated: tuple[int, ...]
 
-    recordings: NDArray[np.int64]
-    before: Floats
-    after: Floats
+
+@dataclass(frozen=True)
+class Plan:
+    """What is held out, and the folds."""
+
+    left_out: LeftOut
+    folds: tuple[Fold, ...]
+
+
+def plan(recordings: Sequence[Recording]) -> Plan:
+    """Return the folds; none if there are too few recordings to hold any out."""
+    people = sorted({recording.participant for recording in recordings})
+    left_out: LeftOut = "participants"
+    fold_of = [people.index(recording.participant) % MOST_PARTICIPANT_FOLDS for recording in recordings]
+    if len(people) < 2:
+        # Distribute the recordings of each gesture over the folds.
+        left_out, dealt = "recordings", Counter[str]()
+        for place, recording in enumerate(recordings):
+            fold_of[place] = dealt[recording.gesture] % MOST_RECORDING_FOLDS
+            dealt[recording.gesture] += 1
+    folds = []
+    for fold in sorted(set(fold_of)):
+        trained = tuple(i for i, own in enumerate(fold_of) if own != fold)
+        gestures = {recordings[i].gesture for i in trained}
+        held_out = (i for i, own in enumerate(fold_of) if own == fold)
+        evaluated = tuple(i for i in held_out if recordings[i].gesture in gestures)
+        # With one label, accuracy is trivially 100 %.
+        if evaluated and len(gestures) > 1:
+            folds.append(Fold(trained, evaluated))
+    return Plan(left_out if folds else "nothing", tuple(folds))
+
+
+@dataclass(frozen=True)
+class Scored:
+    """A held-out recording, and the shares of its windows that were right before and after adapting."""
+
+    participant: str
+    gesture: str
+    before: float
+    after: float
 
 
 class GestureFigures(msgspec.Struct, frozen=True, kw_only=True):
@@ -42,115 +87,63 @@ class GestureFigures(msgspec.Struct, frozen=True, kw_only=True):
 class LengthFigures(msgspec.Struct, frozen=True, kw_only=True):
     """Accuracy on all held-out windows of one length.
 
-    frames: the length; 0 for ended touches in passing, of whatever length.
-    before, after: macro accuracy over gestures that the shipped model has, None without any; if participants
-    are held out, the mean over them. interval: of the difference, 95 %, None if there is too little data.
-    all_after: as after, over all gestures.
+    frames: the length; IN_PASSING for ended touches in passing, of whatever length. before, after: macro
+    accuracy over gestures that the shipped model has, None without any; if participants are held out, the
+    mean over them. interval: of the difference, 95 %, None if there is too little data.
     """
 
     frames: int
     gestures: dict[str, GestureFigures]
-    before: float | None
-    after: float | None
-    interval: tuple[float, float] | None
-    all_after: float
+    before: float | None = None
+    after: float | None = None
+    interval: tuple[float, float] | None = None
 
 
 class Comparison(msgspec.Struct, frozen=True, kw_only=True):
-    """Held-out accuracy before and after.
-
-    left_out: what was held out. in_passing: of ended touches in passing, None if there are none.
-    """
+    """Held-out accuracy before and after; touches in passing first, then by length."""
 
     left_out: LeftOut
     participants: int
     lengths: list[LengthFigures]
-    in_passing: LengthFigures | None = None
 
 
-def compare(
-    answers: Mapping[int, Answers],
-    recordings: Sequence[Recording],
-    labels: Sequence[str],
-    known: Sequence[str],
-    left_out: LeftOut,
-) -> Comparison:
-    """Return the figures for held-out answers at each length, 0 for ended touches in passing.
-
-    labels: of the logits. known: those of the shipped model.
-    """
-    found = {
-        frames: _at_length(frames, own, recordings, labels, known, left_out)
-        for frames, own in answers.items()
-        if len(own.recordings)
-    }
-    evaluated = {int(i) for own in answers.values() for i in own.recordings}
+def compare(scored: Mapping[int, Sequence[Scored]], known: Sequence[str], left_out: LeftOut) -> Comparison:
+    """Return the figures of held-out recordings by the length of the windows. known: the shipped labels."""
+    found = {frames: scored[frames] for frames in (IN_PASSING, *LENGTHS) if scored.get(frames)}
     return Comparison(
         left_out=left_out,
-        participants=len({recordings[i].participant for i in evaluated}),
-        lengths=[found[frames] for frames in LENGTHS if frames in found],
-        in_passing=found.get(0),
+        participants=len({each.participant for own in found.values() for each in own}),
+        lengths=[_figures(frames, own, known, left_out) for frames, own in found.items()],
     )
 
 
-def _at_length(
-    frames: int,
-    answers: Answers,
-    recordings: Sequence[Recording],
-    labels: Sequence[str],
-    known: Sequence[str],
-    left_out: LeftOut,
-) -> LengthFigures:
-    owners, evaluated = answers.recordings, np.unique(answers.recordings)
-    truth = np.array([labels.index(recordings[i].gesture) for i in owners])
-    before, after = (
-        np.array([(logits.argmax(axis=1) == truth)[owners == each].mean() for each in evaluated])
-        for logits in (answers.before, answers.after)
-    )
-    gesture = np.array([recordings[i].gesture for i in evaluated])
-    person = np.array([recordings[i].participant for i in evaluated])
-    group = person if left_out == "participants" else np.zeros(len(evaluated))
-    in_both, everything = np.isin(gesture, known), np.ones(len(evaluated), dtype=bool)
-
-    def macro(shares: Floats, chosen: NDArray[np.bool_]) -> Floats:
-        """Return the mean over gestures, of each person if people are held out, else of all."""
-        return np.array(
-            [_macro(gesture, shares, chosen & (group == each)) for each in np.unique(group[chosen])]
-        )
-
-    interval = None
-    if in_both.any():
-        gains = after - before
-        by_people = left_out == "participants"
-        interval = mean_interval(macro(gains, in_both)) if by_people else paired_interval(gains[in_both])
-    return LengthFigures(
-        frames=frames,
-        gestures=_by_gesture(labels, known, gesture, before, after),
-        before=float(macro(before, in_both).mean()) if in_both.any() else None,
-        after=float(macro(after, in_both).mean()) if in_both.any() else None,
-        interval=interval,
-        all_after=float(macro(after, everything).mean()),
-    )
+def _figures(frames: int, scored: Sequence[Scored], known: Sequence[str], left_out: LeftOut) -> LengthFigures:
+    gestures = {}
+    for name in sorted({each.gesture for each in scored}):
+        own = [each for each in scored if each.gesture == name]
+        was = _macro(own, "before") if name in known else None
+        gestures[name] = GestureFigures(recordings=len(own), before=was, after=_macro(own, "after"))
+    in_both = [each for each in scored if each.gesture in known]
+    if not in_both:
+        return LengthFigures(frames=frames, gestures=gestures)
+    groups = [in_both]
+    if left_out == "participants":
+        people = sorted({each.participant for each in in_both})
+        groups = [[each for each in in_both if each.participant == person] for person in people]
+    before, after = (np.array([_macro(group, when) for group in groups]) for when in ("before", "after"))
+    interval = mean_interval(after - before)
+    if left_out != "participants":
+        interval = paired_interval(np.array([each.after - each.before for each in in_both]))
+    means = float(before.mean()), float(after.mean())
+    return LengthFigures(frames=frames, gestures=gestures, before=means[0], after=means[1], interval=interval)
 
 
-def _by_gesture(
-    labels: Sequence[str], known: Sequence[str], gesture: NDArray[np.str_], before: Floats, after: Floats
-) -> dict[str, GestureFigures]:
-    """Return the figures of each label that a recording has."""
-    return {
-        name: GestureFigures(
-            recordings=int(own.sum()),
-            before=float(before[own].mean()) if name in known else None,
-            after=float(after[own].mean()),
-        )
-        for name in labels
-        if (own := gesture == name).any()
-    }
-
-
-def _macro(gesture: NDArray[np.str_], shares: Floats, chosen: NDArray[np.bool_]) -> float:
-    """Return the mean over gestures of the chosen recordings' shares."""
-    return float(np.mean([shares[chosen & (gesture == name)].mean() for name in np.unique(gesture[chosen])]))
+def _macro(scored: Iterable[Scored], when: str) -> float:
+    """Return the mean over gestures of the recordings' shares."""
+    shares: dict[str, list[float]] = {}
+    for each in scored:
+        shares.setdefault(each.gesture, []).append(getattr(each, when))
+    return float(np.mean([np.mean(own) for own in shares.values()]))
 
 
 def paired_interval(gains: Floats) -> tuple[float, float]:
@@ -177,7 +170,7 @@ def mean_interval(values: Floats) -> tuple[float, float] | None:
     Unlike a bootstrap, it is wide enough with two or three values.
     """
     # People who happen to change equally do not prove that everybody does.
-    if len(values) < 2 or values.std() == 0.0:
+    if len(values) < 2 or np.ptp(values) < 1e-9:
         return None
     middle = float(values.mean())
     reach = float(stdtrit(len(values) - 1, UPPER) * values.std(ddof=1) / math.sqrt(len(values)))

@@ -18,6 +18,8 @@ WINDOW_FRAMES = 144
 LEAST_FRAMES, LEAST_AFTER_FRAMES = 2, 9
 # Pieces of one file further apart do not belong together.
 CUT_MS = 1000
+# The key of ended touches in passing, beside the lengths of windows.
+IN_PASSING = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,47 +42,41 @@ def joined(parts: Sequence[Recording]) -> list[Recording]:
     found: list[Recording] = []
     taken: set[int] = set()
     for place, part in enumerate(parts):
-        if part.gesture == NO_TOUCH:
+        beside = [other for other in (place - 1, place + 1) if _is_rest_beside(parts, place, other)]
+        if not beside:
             continue
-        before, after = _rest_beside(parts, place, -1), _rest_beside(parts, place, +1)
-        if before is None and after is None:
-            continue
-        taken |= {other for other, rest in ((place - 1, before), (place + 1, after)) if rest is not None}
-        if _frames(part) < WINDOW_FRAMES:
+        taken |= {*beside}
+        if _frames(part.sensor_ms[-1] - part.sensor_ms[0]) < WINDOW_FRAMES:
             taken.add(place)
-            found += _in_passing(before, part, after)
+            found += _in_passing(part, [parts[other] for other in sorted((place, *beside))])
     return [*found, *(on_grid(part) for place, part in enumerate(parts) if place not in taken)]
 
 
-def _frames(part: Recording) -> float:
-    return float(part.sensor_ms[-1] - part.sensor_ms[0]) * FRAME_RATE_HZ / 1000.0
+def _frames(ms: np.int64) -> int:
+    return round(float(ms) * FRAME_RATE_HZ / 1000.0)
 
 
-def _rest_beside(parts: Sequence[Recording], place: int, step: int) -> Recording | None:
-    """Return the rest that follows a touch without a pause, or precedes it, in the same file."""
-    other = place + step
+def _is_rest_beside(parts: Sequence[Recording], place: int, other: int) -> bool:
+    """Whether another part of the file is the rest just before a touch, or just after it."""
     if not 0 <= other < len(parts):
-        return None
+        return False
     touch, rest = parts[place], parts[other]
-    earlier, later = (rest, touch) if step < 0 else (touch, rest)
+    earlier, later = (rest, touch) if other < place else (touch, rest)
     pause_ms = later.sensor_ms[0] - earlier.sensor_ms[-1]
-    is_beside = rest.gesture == NO_TOUCH and set_up(rest) == set_up(touch) and 0 < pause_ms <= CUT_MS
-    return rest if is_beside and touch.framing == "live" else None
+    is_touch = touch.gesture != NO_TOUCH and touch.framing == "live"
+    return bool(
+        is_touch and rest.gesture == NO_TOUCH and set_up(rest) == set_up(touch) and 0 < pause_ms <= CUT_MS
+    )
 
 
-def _in_passing(before: Recording | None, touch: Recording, after: Recording | None) -> list[Recording]:
+def _in_passing(touch: Recording, parts: Sequence[Recording]) -> list[Recording]:
     """Return a touch and the rest around it as one recording; none if it cannot be learnt from."""
-    parts = [part for part in (before, touch, after) if part is not None]
     counts = np.concatenate([part.counts for part in parts])
     sensor_ms = np.concatenate([part.sensor_ms for part in parts])
     laid = on_grid(replace(touch, counts=counts, sensor_ms=sensor_ms))
-
-    def place(ms: int) -> int:
-        return round(float(ms - sensor_ms[0]) * FRAME_RATE_HZ / 1000.0)
-
-    first, over = place(touch.sensor_ms[0]), place(touch.sensor_ms[-1]) + 1
-    has_gap = len(laid.counts) < place(sensor_ms[-1]) - 1
+    first = _frames(touch.sensor_ms[0] - sensor_ms[0])
+    over = _frames(touch.sensor_ms[-1] - sensor_ms[0]) + 1
+    has_gap = len(laid.counts) < _frames(sensor_ms[-1] - sensor_ms[0]) - 1
     if has_gap or over - first < LEAST_FRAMES or len(laid.counts) - over < LEAST_AFTER_FRAMES:
         return []
-    own = {name: getattr(laid, name) for name in Recording.__dataclass_fields__}
-    return [InPassing(**own, first=first, over=over)]
+    return [InPassing(*set_up(laid), laid.gesture, laid.counts, laid.sensor_ms, "live", first, over)]

@@ -6,11 +6,9 @@ from collections.abc import Iterable, Mapping
 
 from touchd.drivers.frame import FRAME_RATE_HZ, OTHER
 from touchd.model.adapt.adapt import Adapted
-from touchd.model.adapt.measure import Comparison, LengthFigures
-from touchd.model.adapt.plan import LeftOut
+from touchd.model.adapt.measure import Comparison, LeftOut, LengthFigures
+from touchd.model.adapt.passing import IN_PASSING
 
-# If all of three recordings are right, the accuracy may be 44 %; with four, 51 % (Wilson, 95 %).
-FEW_RECORDINGS = 4
 # If two participants happen to change equally, the interval has no width.
 FEW_PARTICIPANTS = 3
 
@@ -47,12 +45,8 @@ def report_lines(adapted: Adapted, names: Mapping[str, str] = NO_NAMES) -> Itera
     yield ""
     yield from textwrap.wrap(MEASURED[comparison.left_out], WIDTH)
     if comparison.lengths:
-        last = comparison.lengths[-1]
-        yield from _table(f"after {last.frames / FRAME_RATE_HZ:.2f} s", last, names)
-        yield from (_gain(f"after {at.frames / FRAME_RATE_HZ:.2f} s", at) for at in comparison.lengths)
-    if comparison.in_passing is not None:
-        yield from _table("in passing", comparison.in_passing, names)
-        yield _gain("touches in passing", comparison.in_passing)
+        yield from _table(comparison.lengths[-1], names)
+        yield from map(_gain, comparison.lengths)
     yield ""
     for warning in [*_doubts(comparison), *_lacks(adapted, names)]:
         yield from textwrap.wrap(f"! {warning}", WIDTH, subsequent_indent="  ")
@@ -68,11 +62,6 @@ def is_better(comparison: Comparison) -> bool:
 def _lacks(adapted: Adapted, names: Mapping[str, str]) -> Iterable[str]:
     """Yield what the recordings do not show of a gesture."""
     gestures = Counter(recording.gesture for recording in adapted.recordings)
-    if few := sorted(gesture for gesture, count in gestures.items() if count < FEW_RECORDINGS):
-        yield (
-            f"Fewer than {FEW_RECORDINGS} recordings of {_listed(few, names)}: too few to tell how well they "
-            "are known."
-        )
     people = {(recording.gesture, recording.participant) for recording in adapted.recordings}
     alone = sorted(gesture for gesture, who in Counter(gesture for gesture, _ in people).items() if who == 1)
     if adapted.comparison.left_out == "participants" and alone:
@@ -95,9 +84,8 @@ def _doubts(comparison: Comparison) -> Iterable[str]:
         yield "One participant: no figure for other people, for whom the model may have become worse."
     if not comparison.lengths or comparison.lengths[-1].before is None:
         return
-    is_by_people = comparison.left_out == "participants"
     interval = comparison.lengths[-1].interval
-    if is_by_people and comparison.participants < FEW_PARTICIPANTS:
+    if comparison.left_out == "participants" and comparison.participants < FEW_PARTICIPANTS:
         yield f"Fewer than {FEW_PARTICIPANTS} participants: too few to tell whether others gain."
     elif interval is None or interval[0] <= 0.0 <= interval[1]:
         yield "Too little to tell whether this is better or worse: chance alone makes such a difference."
@@ -105,28 +93,30 @@ def _doubts(comparison: Comparison) -> Iterable[str]:
         yield "This is worse than the shipped model: keep that, or record more."
 
 
-def _table(title: str, figures: LengthFigures, names: Mapping[str, str]) -> Iterable[str]:
+def _table(figures: LengthFigures, names: Mapping[str, str]) -> Iterable[str]:
     """Yield a line per gesture: how many recordings, and the accuracy before and after."""
     yield ""
-    yield f"{title:<{NAME_WIDTH}}{'tried':>6}{'before':>8}{'after':>7}"
+    yield f"{_title(figures):<{NAME_WIDTH}}{'tried':>6}{'before':>8}{'after':>7}"
     for gesture, own in figures.gestures.items():
         shown = names.get(gesture, gesture)[: NAME_WIDTH - 1]
         yield f"{shown:<{NAME_WIDTH}}{own.recordings:>6}{_percent(own.before):>8}{_percent(own.after):>7}"
     if figures.before is not None:
         before, after = _percent(figures.before), _percent(figures.after)
         yield f"{'mean of those known':<{NAME_WIDTH}}{'':>6}{before:>8}{after:>7}"
-    if any(own.before is None for own in figures.gestures.values()):
-        yield f"{'mean of all':<{NAME_WIDTH}}{'':>6}{'':>8}{_percent(figures.all_after):>7}"
 
 
-def _gain(title: str, at: LengthFigures) -> str:
+def _gain(at: LengthFigures) -> str:
     """Return what adapting gained, in points, and its interval."""
     if at.before is None or at.after is None:
-        return f"{title}: {_percent(at.all_after)} % after"
-    known = "no interval: too few"
+        return f"{_title(at)}: new gestures only"
+    interval = "no interval: too few"
     if at.interval is not None:
-        known = f"95 % interval {100 * at.interval[0]:+.1f} to {100 * at.interval[1]:+.1f}"
-    return f"{title}: {100 * (at.after - at.before):+.1f} points, {known}"
+        interval = f"95 % interval {100 * at.interval[0]:+.1f} to {100 * at.interval[1]:+.1f}"
+    return f"{_title(at)}: {100 * (at.after - at.before):+.1f} points, {interval}"
+
+
+def _title(figures: LengthFigures) -> str:
+    return "in passing" if figures.frames == IN_PASSING else f"after {figures.frames / FRAME_RATE_HZ:.2f} s"
 
 
 def _listed(gestures: Iterable[str], names: Mapping[str, str]) -> str:

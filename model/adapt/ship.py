@@ -12,23 +12,19 @@ import torch
 from torch import Tensor, nn
 
 from touchd.drivers.errors import os_errors_as
-from touchd.drivers.frame import FRAME_RATE_HZ
 from touchd.drivers.whole_file import whole_file
-from touchd.model.adapt.adapt import Adapted, Pretrained, adapt, prepare
+from touchd.model.adapt.adapt import Adapted, Pretrained, adapt
 from touchd.model.adapt.folder import NO_LABELS, read_all
 from touchd.model.adapt.head import AdaptSettings
 from touchd.model.adapt.optimise import one_torch_thread
 from touchd.model.adapt.output import OutputError, check_output, code_version, data_hash, model_name
-from touchd.model.classifier import METADATA_KEY, SHIPPED_MODEL, ModelMetadata
-from touchd.model.settings import LENGTHS, MAX_LENGTH
+from touchd.model.classifier import METADATA_KEY, SHIPPED_MODEL, Classifier, ModelMetadata
+
+SETTINGS = AdaptSettings()
 
 
 def adapt_folder(
-    extra: Path,
-    output: Path,
-    settings: AdaptSettings,
-    keep_all: bool = False,
-    labels: Mapping[str, str] = NO_LABELS,
+    extra: Path, output: Path, keep_all: bool = False, labels: Mapping[str, str] = NO_LABELS
 ) -> Adapted:
     """Adapt the shipped network to a folder of recordings and write it to `output`, a new .onnx file.
 
@@ -40,31 +36,25 @@ def adapt_folder(
     recordings, passed_over = read_all(extra, pretrained.labels, keep_all, labels)
     # One thread makes sums reproducible; a head is too small for more.
     with one_torch_thread():
-        adapted = adapt(pretrained, prepare(pretrained, recordings, settings), settings, keep_all)
-    adapted = replace(adapted, passed_over=passed_over)
-    write(pretrained, adapted, output, settings)
-    return adapted
+        adapted = adapt(pretrained, recordings, SETTINGS, keep_all)
+    write(adapted, output)
+    return replace(adapted, passed_over=passed_over)
 
 
-def write(pretrained: Pretrained, adapted: Adapted, output: Path, settings: AdaptSettings) -> None:
+def write(adapted: Adapted, output: Path) -> None:
     """Atomically write the model with its metadata and scores; raises OutputError."""
-    metadata = ModelMetadata(
+    shipped = Classifier.load().metadata
+    origin = {
+        "from_sha256": hashlib.sha256(SHIPPED_MODEL.read_bytes()).hexdigest(),
+        "settings": msgspec.to_builtins(SETTINGS),
+        "participants": len({recording.participant for recording in adapted.recordings}),
+        "recordings": len(adapted.recordings),
+    }
+    metadata = msgspec.structs.replace(
+        shipped,
         name=model_name(output),
         labels=adapted.labels,
-        frame_rate_hz=FRAME_RATE_HZ,
-        framing="live",
-        lengths=LENGTHS,
-        max_length=MAX_LENGTH,
-        temperatures={str(length): round(value, 4) for length, value in adapted.temperatures.items()},
-        training={
-            **pretrained.training,
-            "adapted": {
-                "from_sha256": hashlib.sha256(SHIPPED_MODEL.read_bytes()).hexdigest(),
-                "settings": msgspec.to_builtins(settings),
-                "participants": len({recording.participant for recording in adapted.recordings}),
-                "recordings": len(adapted.recordings),
-            },
-        },
+        training={**shipped.training, "adapted": origin},
         code_version=code_version(),
         data_sha256=data_hash(adapted.recordings),
         scores={"adapted": msgspec.to_builtins(adapted.comparison)},
@@ -78,13 +68,11 @@ def write(pretrained: Pretrained, adapted: Adapted, output: Path, settings: Adap
 
 
 def grafted(model: Path, head: nn.Sequential, metadata: ModelMetadata) -> onnx.ModelProto:
-    """Return a copy of a model file with an adapted head, and the metadata's temperatures."""
+    """Return a copy of a model file with an adapted head, which keeps the file's temperatures."""
     proto = onnx.load(model)
-    temperatures = {int(length): value for length, value in metadata.temperatures.items()}
-    values = {f"network.dense.{name}": value for name, value in head.state_dict().items()}
-    values["temperatures"] = by_frames(temperatures)
+    values = {f"calibrated.network.dense.{name}": value for name, value in head.state_dict().items()}
     for tensor in proto.graph.initializer:
-        value = values.pop(tensor.name.removeprefix("calibrated."), None)
+        value = values.pop(tensor.name, None)
         if value is not None:
             tensor.CopyFrom(onnx.numpy_helper.from_array(value.numpy(), tensor.name))
     if values:

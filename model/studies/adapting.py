@@ -44,8 +44,8 @@ FILE = STORED / "adapt.json"
 class Trial(msgspec.Struct, frozen=True, kw_only=True):
     """One network, adapted to `each` recordings per gesture of a person it never saw.
 
-    before, after: macro accuracy on that person's other recordings over 144 frames. error: calibration error.
-    others: mean gain on the other people it never saw, on the same kind of pad; None if there are none.
+    before, after: macro accuracy on that person's other recordings over 144 frames. others: mean
+    gain on the other people it never saw, on the same kind of pad; None if there are none.
     """
 
     participant: str
@@ -53,7 +53,6 @@ class Trial(msgspec.Struct, frozen=True, kw_only=True):
     each: int
     before: float
     after: float
-    error: float
     others: float | None
 
 
@@ -78,39 +77,34 @@ class PersonFold:
         """Return the indices of a person's recordings."""
         return [i for i, recording in enumerate(self.unseen) if recording.participant == name]
 
-    def accuracy(self, head: nn.Sequential, recordings: Sequence[int]) -> tuple[float, float]:
-        """Return macro accuracy and calibration error over the windows of these recordings."""
+    def accuracy(self, head: nn.Sequential, recordings: Sequence[int]) -> float:
+        """Return macro accuracy over the windows of these recordings."""
         chosen: NDArray[np.bool_] = np.isin(self.windows.recordings, recordings)
-        answers = logits(head, self.windows, chosen) / self.pretrained.temperatures[FRAMES]
+        answers = logits(head, self.windows)[chosen]
         for gesture in MISSING.get(study_of(self.unseen[recordings[0]].participant), ()):
-            answers[:, haart.GESTURES.index(gesture)] = IMPOSSIBLE
-        odds = np.exp(answers - answers.max(axis=1, keepdims=True))
-        odds /= odds.sum(axis=1, keepdims=True)
-        predicted = odds.argmax(axis=1).astype(np.int64)
-        return (
-            metrics.macro_accuracy(predicted, self.truth[chosen], len(haart.GESTURES)),
-            metrics.expected_calibration_error(odds, self.truth[chosen]),
-        )
+            answers[:, self.pretrained.labels.index(gesture)] = IMPOSSIBLE
+        predicted = answers.argmax(axis=1).astype(np.int64)
+        return metrics.macro_accuracy(predicted, self.truth[chosen], len(haart.GESTURES))
 
     def trials(self, name: str, rehearsed: CropFeatures, settings: AdaptSettings) -> Iterator[Trial]:
         """Yield every trial of one person."""
         own, pretrained = self.of(name), self.pretrained
         others = [self.of(other) for other in self.people if other != name and same_kind(other, name)]
         start = pretrained.head
-        others_before = [self.accuracy(start, theirs)[0] for theirs in others]
+        others_before = [self.accuracy(start, theirs) for theirs in others]
         for number in range(DRAWS):
             drawn = draw(self.unseen, name, number)
             evaluated = sorted(set(own) - {i for first in drawn for i in first})
-            before, _ = self.accuracy(start, evaluated)
+            before = self.accuracy(start, evaluated)
             for each in SHOTS:
                 shown = [self.unseen[i] for first in drawn for i in first[:each]]
                 features = crops(
                     pretrained.backbone, shown, pretrained.augmentation, settings.crops, settings.seed
                 )
-                head = fit(start, haart.GESTURES, [], features, rehearsed, settings)
-                after, error = self.accuracy(head, evaluated)
+                head = fit(start, pretrained.labels, [], features, rehearsed, settings)
+                after = self.accuracy(head, evaluated)
                 gains = [
-                    self.accuracy(head, theirs)[0] - was
+                    self.accuracy(head, theirs) - was
                     for theirs, was in zip(others, others_before, strict=True)
                 ]
                 yield Trial(
@@ -119,7 +113,6 @@ class PersonFold:
                     each=each,
                     before=round(before, 4),
                     after=round(after, 4),
-                    error=round(error, 4),
                     others=round(float(np.mean(gains)), 4) if gains else None,
                 )
 
@@ -161,7 +154,7 @@ def measure(folders: Folders, runs: Path, settings: AdaptSettings) -> Iterator[T
         remembered = remember(saved, folders)
         pretrained = Pretrained.of(fold_path(SHIPPED_MODEL.parent, left_out), saved.network, remembered)
         fold = PersonFold(pretrained, haart.only(takes, left_out))
-        rehearsed = remembered.samples(haart.GESTURES, settings.seed)
+        rehearsed = remembered.samples(pretrained.labels, settings.seed)
         for name in fold.people:
             if name in FEW:
                 continue

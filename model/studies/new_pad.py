@@ -90,7 +90,7 @@ class Scored:
         """
         cut = self.windows[frames]
         chosen = np.isin(self.people[cut.recordings], people)
-        answers = logits(head, cut, chosen)
+        answers = logits(head, cut)[chosen]
         answers[:, [self.labels.index(label) for label in missing]] = IMPOSSIBLE
         truth = self.truth[cut.recordings[chosen]]
         return metrics.class_accuracies(answers.argmax(axis=1).astype(np.int64), truth, len(self.labels))
@@ -104,7 +104,7 @@ def people_on_a_new_pad(
     remembered = remember(saved, folders)
     pretrained = Pretrained.of(FABRIC_MODEL, saved.network, remembered)
     recordings = folders.to_train_on(("third",))
-    labels = haart.GESTURES
+    labels = pretrained.labels
     scored = Scored(pretrained, recordings, labels)
     shown = crops(pretrained.backbone, recordings, pretrained.augmentation, settings.crops, settings.seed)
     rehearsed = remembered.samples(labels, settings.seed)
@@ -129,13 +129,13 @@ def two_gestures_more(folders: Folders, runs: Path, settings: AdaptSettings) -> 
     """Yield each fold's figures after adding tap and poke, recorded by the people it was trained on."""
     third = third_study.read(folders.third_study, NEW)
     fabric = folders.to_train_on(("haart", "second"))
-    labels = tuple(sorted({*haart.GESTURES, *NEW}))
     for job in fold_jobs(read_recipe()):
         left_out = job.settings.left_out
         saved = checkpoint.load(runs / job.name / CHECKPOINT_NAME)
         remembered = remember(saved, folders)
         pretrained = Pretrained.of(fold_path(SHIPPED_MODEL.parent, left_out), saved.network, remembered)
-        start = rebuilt(pretrained.head, haart.GESTURES, labels)
+        labels = tuple(sorted({*pretrained.labels, *NEW}))
+        start = rebuilt(pretrained.head, pretrained.labels, labels)
         shown: CropFeatures = crops(
             pretrained.backbone,
             haart.without(third, left_out),

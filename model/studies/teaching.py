@@ -21,11 +21,11 @@ from tqdm import tqdm
 
 from touchd.drivers.recording import Recording, ideal_clock_ms, set_up
 from touchd.model.adapt.adapt import Pretrained, logits
-from touchd.model.adapt.backbone import CropFeatures, WindowFeatures, crops, ended, windows
+from touchd.model.adapt.backbone import CropFeatures, WindowFeatures, crops, windows
 from touchd.model.adapt.head import AdaptSettings, fit
 from touchd.model.adapt.measure import mean_interval
 from touchd.model.adapt.optimise import one_torch_thread
-from touchd.model.adapt.passing import InPassing
+from touchd.model.adapt.passing import IN_PASSING, InPassing
 from touchd.model.adapt.ship import grafted
 from touchd.model.classifier import Classifier
 from touchd.model.studies.folders import study_parser
@@ -78,7 +78,7 @@ class Other:
     def of(cls, pretrained: Pretrained, recordings: Sequence[Recording]) -> "Other":
         passing = [touch for session in sessions(recordings) for touch in touches_of(session)]
         whole = windows(pretrained.backbone, recordings)[FRAMES]
-        short = ended(pretrained.backbone, passing)
+        short = windows(pretrained.backbone, passing)[IN_PASSING]
         labels = pretrained.labels
         return cls(
             whole,
@@ -92,8 +92,7 @@ class Other:
     def right(self, head: nn.Sequential) -> tuple[float, float]:
         """Return the percentages right of touches in passing, and of windows."""
         shares = [
-            100.0
-            * float((logits(head, own, np.ones(len(own.recordings), bool)).argmax(axis=1) == truth).mean())
+            100.0 * float((logits(head, own).argmax(axis=1) == truth).mean())
             for own, truth in zip((self.windows, self.passing), self.truth, strict=True)
         ]
         return shares[1], shares[0]
@@ -159,7 +158,7 @@ def taught(
         for how, shown in {BEFORE: [], **lessons(learnt, rng)}.items():
             head = _learnt(pretrained, shown, rehearsed, settings) if shown else pretrained.head
             gain = other.right(head) if other else (0.0, 0.0)
-            right = logits(head, held, np.ones(len(truth), bool)).argmax(axis=1) == truth
+            right = logits(head, held).argmax(axis=1) == truth
             scores = rows(measure(scored, _classifier(base, head)))
             yield Taught(
                 participant=name,
@@ -200,7 +199,7 @@ def trials(folders: Folders, runs: Path, settings: AdaptSettings) -> Iterator[Ta
         base = fold_path(Path(__file__).parents[1] / "weights", left_out)
         remembered = remember(saved, folders)
         pretrained = Pretrained.of(base, saved.network, remembered)
-        rehearsed = remembered.samples(haart.GESTURES, settings.seed)
+        rehearsed = remembered.samples(pretrained.labels, settings.seed)
         unseen = haart.only(takes, left_out)
         for name in tqdm(sorted({each.participant for each in unseen}), desc=job.name):
             own = [each for each in unseen if each.participant == name]

@@ -23,24 +23,25 @@ from touchd.daemon.app.config import load  # noqa: E402
 from touchd.daemon.commands import teach  # noqa: E402
 from touchd.daemon.path.events import Label, encode  # noqa: E402
 from touchd.drivers.recording import Recording, ideal_clock_ms, write_recordings  # noqa: E402
-from touchd.model.adapt.adapt import Adapted, Features, Pretrained, adapt, logits, prepare  # noqa: E402
-from touchd.model.adapt.backbone import CropFeatures, ended, windows  # noqa: E402
+from touchd.model.adapt import ship  # noqa: E402
+from touchd.model.adapt.adapt import Adapted, Pretrained, adapt, logits  # noqa: E402
+from touchd.model.adapt.backbone import CropFeatures, crops, windows  # noqa: E402
 from touchd.model.adapt.folder import ExtraError, read_all  # noqa: E402
 from touchd.model.adapt.head import AdaptSettings, fit, rebuilt  # noqa: E402
-from touchd.model.adapt.measure import (  # noqa: E402
-    Answers,
+from touchd.model.adapt.measure import (  # noqa: E402  # noqa: E402
     Comparison,
+    LeftOut,
     LengthFigures,
+    Scored,
     compare,
     mean_interval,
     paired_interval,
+    plan,
 )
 from touchd.model.adapt.output import model_name  # noqa: E402
-from touchd.model.adapt.passing import InPassing, joined  # noqa: E402
-from touchd.model.adapt.plan import LeftOut, plan  # noqa: E402
+from touchd.model.adapt.passing import IN_PASSING, InPassing, joined  # noqa: E402
 from touchd.model.adapt.remembered import Remembered  # noqa: E402
 from touchd.model.adapt.report import is_better, report_lines  # noqa: E402
-from touchd.model.adapt.ship import write  # noqa: E402
 from touchd.model.classifier import SHIPPED_MODEL, Classifier, Name  # noqa: E402
 from touchd.model.studies.checks.hard_cases import hand  # noqa: E402
 from touchd.model.studies.checks.reference import Reference  # noqa: E402
@@ -85,12 +86,6 @@ def keep(folder: Path, recordings: Sequence[Recording]) -> Path:
     return folder
 
 
-def adapted_to(
-    pretrained: Pretrained, recordings: Sequence[Recording], settings: AdaptSettings = SETTINGS
-) -> Adapted:
-    return adapt(pretrained, prepare(pretrained, recordings, settings), settings)
-
-
 def words(lines: Iterable[str]) -> str:
     """Return a text without its line breaks."""
     return " ".join(" ".join(lines).split())
@@ -119,13 +114,8 @@ def pretrained() -> Pretrained:
 
 
 @pytest.fixture(scope="module")
-def material(pretrained: Pretrained) -> Features:
-    return prepare(pretrained, simulated(("Ann", "Bo"), 2), SETTINGS)
-
-
-@pytest.fixture(scope="module")
-def adapted(pretrained: Pretrained, material: Features) -> Adapted:
-    return adapt(pretrained, material, SETTINGS)
+def adapted(pretrained: Pretrained) -> Adapted:
+    return adapt(pretrained, simulated(("Ann", "Bo"), 2), SETTINGS)
 
 
 # --- the whole command ---
@@ -139,7 +129,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     with pytest.MonkeyPatch.context() as patch:
         printed: list[str] = []
         patch.setattr("sys.stdout.write", printed.append)
-        patch.setattr("touchd.model.adapt.head.AdaptSettings", lambda seed: replace_in(SETTINGS, seed=seed))
+        patch.setattr(ship, "SETTINGS", SETTINGS)
         assert cli.main(["train", "--extra", str(lab), "--output", str(output)]) == 0
     return output, "".join(printed)
 
@@ -202,7 +192,7 @@ def test_touchd_classify_answers_with_the_new_gesture(
     ("extra", "output", "error"),
     [
         ("missing", "new.onnx", "missing: cannot be read"),
-        ("lab.onnx", "new.onnx", "is a file; name the folder"),
+        ("lab.onnx", "new.onnx", "lab.onnx: cannot be read (Not a directory)"),
         ("lab", "new.pt", "a model's name ends with .onnx"),
         ("lab", "nowhere/new.onnx", "nothing can be written there"),
         ("lab", "lab.onnx", "is never overwritten"),
@@ -241,9 +231,8 @@ def test_the_printed_settings_use_the_new_model(trained: tuple[Path, str]) -> No
 
 
 def test_the_same_recordings_and_seed_give_the_same_model(pretrained: Pretrained, adapted: Adapted) -> None:
-    again = adapted_to(pretrained, adapted.recordings)
+    again = adapt(pretrained, adapted.recordings, SETTINGS)
     assert torch.equal(weights(again.head), weights(adapted.head))
-    assert again.temperatures == adapted.temperatures
     assert again.comparison == adapted.comparison
 
 
@@ -251,12 +240,13 @@ def test_the_same_recordings_and_seed_give_the_same_model(pretrained: Pretrained
 def test_the_file_answers_as_the_adapted_network_in_pytorch(
     pretrained: Pretrained, adapted: Adapted, tmp_path: Path
 ) -> None:
-    write(pretrained, adapted, tmp_path / "lab.onnx", SETTINGS)
+    ship.write(adapted, tmp_path / "lab.onnx")
     classifier = Classifier.load(tmp_path / "lab.onnx")
     network = TGC(pretrained.backbone.settings, len(adapted.labels))
     network.load_state_dict(pretrained.backbone.state_dict(), strict=False)
     network.dense = deepcopy(adapted.head)
-    exact = Reference(CalibratedTGC(network, adapted.temperatures).double().eval())
+    temperatures = {int(length): value for length, value in classifier.metadata.temperatures.items()}
+    exact = Reference(CalibratedTGC(network, temperatures).double().eval())
     for frames in (9, 54, 70, 200):
         expected = exact.probabilities(hand(frames))
         assert np.abs(classifier.probabilities(hand(frames)) - expected).max() <= 1e-4
@@ -272,11 +262,10 @@ def test_known_gestures_keep_their_weights(pretrained: Pretrained) -> None:
     assert torch.allclose(head[-1].weight[0], pretrained.head[-1].weight.mean(dim=0))
 
 
-def test_a_gesture_without_recordings_is_not_forgotten(pretrained: Pretrained, material: Features) -> None:
+def test_a_gesture_without_recordings_is_not_forgotten(pretrained: Pretrained) -> None:
     """A lab without recordings at rest keeps the shipped model's knowledge of it."""
-    touching = [recording for recording in material.recordings if recording.gesture != "notouch"]
-    resting = [recording for recording in material.recordings if recording.gesture == "notouch"]
-    adapted = adapted_to(pretrained, touching)
+    resting = simulated(("Ann", "Bo"), 2, ("notouch",))
+    adapted = adapt(pretrained, simulated(("Ann",), 2, ("hug", "pat")), SETTINGS)
     assert "notouch" in adapted.labels
     with torch.no_grad():
         answers = adapted.head(windows(pretrained.backbone, resting)[144].values).argmax(dim=1)
@@ -284,8 +273,8 @@ def test_a_gesture_without_recordings_is_not_forgotten(pretrained: Pretrained, m
     assert any("No recording of notouch" in line for line in report_lines(adapted))
 
 
-def test_all_known_gestures_can_be_kept(pretrained: Pretrained, material: Features) -> None:
-    adapted = adapt(pretrained, material, HARDLY, keep_all=True)
+def test_all_known_gestures_can_be_kept(pretrained: Pretrained) -> None:
+    adapted = adapt(pretrained, simulated(("Ann",), 1), HARDLY, keep_all=True)
     assert adapted.labels == tuple(sorted({"hug", *pretrained.labels}))
     said = "No recording of constant, rub, tickle: known from other people and pads only."
     assert said in words(report_lines(adapted))
@@ -293,14 +282,15 @@ def test_all_known_gestures_can_be_kept(pretrained: Pretrained, material: Featur
     assert "No recording of still hand, Reiben, tickle: known from" in named
 
 
-def test_rehearsal_keeps_others_from_being_forgotten(pretrained: Pretrained, material: Features) -> None:
+def test_rehearsal_keeps_others_from_being_forgotten(pretrained: Pretrained) -> None:
     labels = sorted({"hug", *pretrained.labels})
     begin = rebuilt(pretrained.head, pretrained.labels, labels)
     remembered = pretrained.remembered.samples(labels, seed=0)
+    shown = crops(pretrained.backbone, simulated(("Ann", "Bo"), 2), pretrained.augmentation, 2, 0)
 
     def right(rehearsed: float) -> float:
         settings = replace_in(SETTINGS, rehearsed=rehearsed)
-        head = fit(begin, labels, ["hug"], material.shown, remembered, settings)
+        head = fit(begin, labels, ["hug"], shown, remembered, settings)
         others = pretrained.remembered.samples(pretrained.labels, seed=1)
         truth = torch.tensor([labels.index(gesture) for gesture in others.gestures])
         with torch.no_grad():
@@ -324,9 +314,8 @@ def test_remembered_samples_have_the_moments_of_the_originals(tmp_path: Path) ->
 
 def test_short_touches_are_used_for_training(pretrained: Pretrained) -> None:
     short = [cut(recording, 70) for recording in simulated(("Ann",), 2, ("pat", "hug"))]
-    adapted = adapted_to(pretrained, short, HARDLY)
+    adapted = adapt(pretrained, short, HARDLY)
     assert [row.frames for row in adapted.comparison.lengths] == [54]
-    assert adapted.temperatures[144] == pretrained.temperatures[144]
 
 
 # --- figures ---
@@ -341,57 +330,63 @@ def labelled(text: str) -> list[Recording]:
     ]
 
 
-def test_with_two_participants_whole_participants_are_held_out() -> None:
-    planned = plan(labelled("A:pat B:pat A:hug B:hug"))
-    assert planned.left_out == "participants"
-    assert {(fold.trained, fold.evaluated) for fold in planned.folds} == {((1, 3), (0, 2)), ((0, 2), (1, 3))}
+@pytest.mark.parametrize(
+    ("made", "left_out", "evaluated"),
+    [
+        ("A:pat B:pat A:hug B:hug", "participants", [0, 1, 2, 3]),
+        # Only B did a hug: nobody else's recordings teach it.
+        ("A:pat B:pat A:rub B:rub B:hug", "participants", [0, 1, 2, 3]),
+        ("A:pat A:hug A:pat A:hug A:pat A:hug", "recordings", [0, 1, 2, 3, 4, 5]),
+        ("A:pat A:hug", "nothing", []),
+    ],
+)
+def test_people_or_else_recordings_are_held_out(made: str, left_out: str, evaluated: list[int]) -> None:
+    recordings = labelled(made)
+    planned = plan(recordings)
+    assert planned.left_out == left_out
+    assert sorted(i for fold in planned.folds for i in fold.evaluated) == evaluated
+    for fold in planned.folds:
+        assert not {*fold.trained} & {*fold.evaluated}
+        if left_out == "participants":
+            trained, held = (
+                {recordings[i].participant for i in own} for own in (fold.trained, fold.evaluated)
+            )
+            assert not trained & held
 
 
-def test_with_one_participant_whole_recordings_are_held_out() -> None:
-    planned = plan(labelled("A:pat A:hug A:pat A:hug A:pat A:hug"))
-    assert planned.left_out == "recordings"
-    assert sorted(i for fold in planned.folds for i in fold.evaluated) == list(range(6))
-    assert all(not set(fold.trained) & set(fold.evaluated) for fold in planned.folds)
+def scored(text: str) -> dict[int, list[Scored]]:
+    """Return a held-out recording for each word: who, what they do, and whether it is right afterwards."""
+    return {
+        54: [
+            Scored(who, gesture, 0.0, float(after)) for who, gesture, after in map(str.split, text.split(","))
+        ]
+    }
 
 
-def test_a_gesture_is_evaluated_only_if_trained_on_elsewhere() -> None:
-    planned = plan(labelled("A:pat B:pat A:rub B:rub B:hug"))
-    assert sorted(i for fold in planned.folds for i in fold.evaluated) == [0, 1, 2, 3]
-
-
-def test_one_recording_a_gesture_holds_nothing_out() -> None:
-    assert plan(labelled("A:pat A:hug")).left_out == "nothing"
-
-
-def test_the_difference_has_an_interval_over_participants() -> None:
-    recordings = labelled("A:pat A:rub B:pat B:rub C:pat C:rub")
-    truth = np.array([0, 1] * 3)
-    # Before, all are wrong; after, all but the last are right.
-    before, after = np.eye(2)[1 - truth], np.eye(2)[[0, 1, 0, 1, 0, 0]]
-    answers = {54: Answers(np.arange(6), before, after)}
-    row = compare(answers, recordings, ("pat", "rub"), ("pat", "rub"), "participants").lengths[0]
-    assert (row.before, row.after) == (0.0, pytest.approx(5 / 6))
-    low, high = row.interval or (0.0, 0.0)
-    # t with 2 degrees of freedom: 4.303 standard errors of three participants' 1, 1 and 1/2.
-    assert (high - low) / 2 == pytest.approx(4.303 * np.std([1, 1, 0.5], ddof=1) / np.sqrt(3), rel=1e-3)
-
-
-def test_equal_changes_of_one_person_have_an_interval_with_a_width() -> None:
-    recordings = labelled("A:pat A:pat A:rub A:rub")
-    truth = np.array([0, 0, 1, 1])
-    answers = {54: Answers(np.arange(4), np.eye(2)[1 - truth], np.eye(2)[truth])}
-    row = compare(answers, recordings, ("pat", "rub"), ("pat", "rub"), "recordings").lengths[0]
-    assert (row.before, row.after) == (0.0, 1.0)
-    assert row.interval == (pytest.approx(0.168, abs=1e-3), 1.0)
-    # People who changed equally prove nothing about others.
-    people = labelled("A:pat A:rub B:pat B:rub")
-    row = compare(answers, people, ("pat", "rub"), ("pat", "rub"), "participants").lengths[0]
-    assert row.interval is None
+@pytest.mark.parametrize(
+    ("held_out", "left_out", "after", "interval"),
+    [
+        # t with 2 degrees of freedom: 4.303 standard errors of three participants' 1, 1 and 1/2.
+        ("A pat 1, A rub 1, B pat 1, B rub 1, C pat 1, C rub 0", "participants", 5 / 6, (0.116, 1.550)),
+        # People who changed equally prove nothing about others; a person's recordings do.
+        ("A pat 1, A rub 1, B pat 1, B rub 1", "participants", 1.0, None),
+        ("A pat 1, A pat 1, A rub 1, A rub 1", "recordings", 1.0, (0.168, 1.0)),
+    ],
+)
+def test_the_difference_has_an_interval(
+    held_out: str, left_out: LeftOut, after: float, interval: tuple[float, float] | None
+) -> None:
+    (row,) = compare(scored(held_out), ("pat", "rub"), left_out).lengths
+    assert (row.before, row.after) == (0.0, pytest.approx(after))
+    assert row.interval == (interval and pytest.approx(interval, abs=1e-3))
 
 
 @pytest.mark.parametrize(
     ("interval", "expected"),
     [
+        (mean_interval(np.array([0.1])), None),
+        # Equal but for rounding.
+        (mean_interval(np.array([0.1 + 0.2, 0.3])), None),
         (mean_interval(np.array([0.0, 0.1])), (0.05 - 12.706 * 0.05, 0.05 + 12.706 * 0.05)),
         # Agresti and Min: of 14 recordings, four more are right than before, or one.
         (paired_interval(np.array([1.0] * 4 + [0.0] * 10)), (0.005, 0.495)),
@@ -399,13 +394,9 @@ def test_equal_changes_of_one_person_have_an_interval_with_a_width() -> None:
     ],
 )
 def test_few_values_have_a_wide_interval(
-    interval: tuple[float, float], expected: tuple[float, float]
+    interval: tuple[float, float] | None, expected: tuple[float, float] | None
 ) -> None:
-    assert interval == pytest.approx(expected, abs=1e-3)
-
-
-def test_one_value_has_no_interval() -> None:
-    assert mean_interval(np.array([0.1])) is None
+    assert interval == (expected and pytest.approx(expected, abs=1e-3))
 
 
 # --- warnings ---
@@ -426,10 +417,7 @@ def test_one_value_has_no_interval() -> None:
         (
             ("Ann", "Bo"),
             1,
-            [
-                "Fewer than 3 participants: too few to tell whether others",
-                "Fewer than 4 recordings of hug, pat",
-            ],
+            ["Fewer than 3 participants: too few to tell whether others"],
         ),
     ],
 )
@@ -437,7 +425,7 @@ def test_too_few_recordings_are_reported(
     pretrained: Pretrained, participants: Sequence[str], each: int, printed: list[str]
 ) -> None:
     recordings = simulated(participants, each, ("pat", "hug"))
-    report = words(report_lines(adapted_to(pretrained, recordings, HARDLY)))
+    report = words(report_lines(adapt(pretrained, recordings, HARDLY)))
     assert [line for line in printed if line not in report] == []
 
 
@@ -501,7 +489,7 @@ def test_train_counts_the_saved_touches_that_it_passes_over(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(Pretrained, "shipped", lambda: pretrained)
-    monkeypatch.setattr(AdaptSettings, "steps", 1, raising=False)
+    monkeypatch.setattr(ship, "SETTINGS", HARDLY)
     nobody = unlabelled(passing("rub", 30, 5))
     names = [("pat", 12, 0), ("stroke", 40, 1), ("pat", 15, 2), ("stroke", 30, 3)]
     cut_short = passing("pat", 20, 4, after=0)
@@ -514,7 +502,7 @@ def test_train_counts_the_saved_touches_that_it_passes_over(
     said = capsys.readouterr().out
     assert "Passed over: 1 saved touch without a label" in said
     assert "Passed over: 1 saved touch cut short" in said
-    assert "touches in passing: " in said
+    assert "in passing: " in said
     assert "5 recordings of 2 gestures by 1 participant" in said
     assert Classifier.load(tmp_path / "a.onnx").labels == tuple(sorted(pretrained.labels))
 
@@ -547,13 +535,12 @@ def test_learning_from_single_pats_names_single_pats(pretrained: Pretrained) -> 
             for recording in joined(passing(gesture, 20, number))
         ]
 
-    settings = AdaptSettings(crops=4)
-    learnt = adapt(pretrained, prepare(pretrained, read(range(4)), settings), settings)
+    settings, labels = AdaptSettings(crops=4, steps=100), pretrained.labels
+    shown = crops(pretrained.backbone, read(range(4)), pretrained.augmentation, settings.crops, 0)
+    head = fit(pretrained.head, labels, [], shown, pretrained.remembered.samples(labels, seed=0), settings)
     others = read(range(10, 14))
-    truth = [learnt.labels.index(each.gesture) for each in others]
-    values = ended(pretrained.backbone, others)
-    right = (logits(learnt.head, values, np.ones(len(others), bool)).argmax(axis=1) == truth).mean()
-    assert right > 0.9
+    answers = logits(head, windows(pretrained.backbone, others)[IN_PASSING]).argmax(axis=1)
+    assert np.mean([labels[i] == each.gesture for i, each in zip(answers, others, strict=True)]) > 0.9
 
 
 @pytest.mark.parametrize(
@@ -574,7 +561,7 @@ def test_the_verdict_goes_as_far_as_chance_allows(
     interval: tuple[float, float] | None,
     said: str,
 ) -> None:
-    last = LengthFigures(frames=144, gestures={}, before=0.7, after=0.8, interval=interval, all_after=0.8)
+    last = LengthFigures(frames=144, gestures={}, before=0.7, after=0.8, interval=interval)
     measured = Comparison(left_out=left_out, participants=participants, lengths=[last])
     report = words(report_lines(replace(adapted, comparison=measured)))
     doubts = ("Too little to tell", "worse than the shipped model", "Fewer than 3 participants")
@@ -600,7 +587,6 @@ def pat_and(gesture: str) -> Make:
     ("make", "message"),
     [
         (lambda folder: None, "cannot be read (No such file or directory)"),
-        (lambda folder: folder.write_text("x"), "is a file; name the folder"),
         (kept(), "holds no recordings; make some with `touchd record"),
         (
             lambda folder: (keep(folder, []) / "a.csv.gz").write_bytes(b"not gzip"),
@@ -615,7 +601,6 @@ def pat_and(gesture: str) -> Make:
         (pat_and("Stroke"), "Stroke and stroke differ only in spelling"),
         (pat_and("no-touch"), "no-touch and notouch differ only in spelling"),
         (kept(PAT, cut(HUG, 53)), "0.98 s of hug without a gap, and at least 1 s is needed"),
-        (kept(PAT, replace(HUG, participant="")), "does not say who touches"),
         (kept(PAT, HUG, replace(PAT, cover="other")), "002.csv.gz: the same recording as in"),
     ],
 )
@@ -648,21 +633,14 @@ def test_training_without_recordings_names_where_recipes_are_trained(
     assert "python -m touchd.model.studies train" in capsys.readouterr().err
 
 
-def test_a_folder_with_too_much_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_with_too_many_gestures_is_refused(tmp_path: Path) -> None:
     known = [f"known{i}" for i in range(8)]
     lab = keep(tmp_path / "lab", simulated(("A",), 1))
+    # As an interrupted session leaves it.
+    (lab / ".partial-x.csv.gz").write_bytes(b"half")
     assert len(read_all(lab, known).recordings) == 5
     with pytest.raises(ExtraError, match="13 gestures; at most 12"):
         read_all(lab, known, keep_all=True)
-    monkeypatch.setattr("touchd.model.adapt.folder.MOST_FRAMES", 200)
-    with pytest.raises(ExtraError, match="more than 200 frames"):
-        read_all(lab, ())
-
-
-def test_half_written_files_of_a_session_are_ignored(tmp_path: Path) -> None:
-    lab = keep(tmp_path / "lab", simulated(("A",), 1))
-    (lab / ".partial-x.csv.gz").write_bytes(b"half")
-    assert len(read_all(lab, ()).recordings) == 5
 
 
 def test_a_foreign_file_is_reported_before_teach_records(tmp_path: Path) -> None:
