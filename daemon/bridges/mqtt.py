@@ -60,7 +60,9 @@ class MqttBridge(Bridge):
         self._retaining = threading.RLock()
         # With the same name, a new connection replaces a lost one, whose last will the broker still holds. By
         # its random end, the clients of cloned computers do not end each other's connections.
-        self._client_id = entity_of(f"touchd_{socket.gethostname()}_{self._topic}_{secrets.token_hex(4)}")
+        self._client_id = f"touchd_{socket.gethostname()}_{name}_{pad}_{secrets.token_hex(4)}".replace(
+            "/", "_"
+        )
         # The first is tried next.
         self._versions = [MQTTProtocolVersion.MQTTv5, MQTTProtocolVersion.MQTTv311]
         self._client: _Client | None = None
@@ -121,9 +123,8 @@ class MqttBridge(Bridge):
         super().close()
 
     def _on_connect(
-        self, client: mqtt.Client, _data: Any, _flags: Any, code: ReasonCode, properties: Properties | None
+        self, client: Any, _data: Any, _flags: Any, code: ReasonCode, properties: Properties | None
     ) -> None:
-        assert isinstance(client, _Client)
         client.is_greeted = code.getName() != NO_MQTT_5
         # paho calls this "Unspecified error".
         client.why = _words(code, properties) if code.is_failure else "the connection was closed"
@@ -136,15 +137,13 @@ class MqttBridge(Bridge):
             self.connected()
 
     def _on_publish(
-        self, client: mqtt.Client, _data: Any, mid: int, code: ReasonCode, properties: Properties | None
+        self, client: Any, _data: Any, mid: int, code: ReasonCode, properties: Properties | None
     ) -> None:
-        assert isinstance(client, _Client)
         topic = client.topics.pop(mid, "a message")
         if code.is_failure:
             self.note_refused(f"{topic}: {_words(code, properties)}")
 
-    def _on_message(self, client: mqtt.Client, _data: Any, message: mqtt.MQTTMessage) -> None:
-        assert isinstance(client, _Client)
+    def _on_message(self, client: Any, _data: Any, message: mqtt.MQTTMessage) -> None:
         if message.payload == HOME_ASSISTANT_IS_THERE:
             with self._retaining:
                 self._announce(client)
@@ -179,7 +178,14 @@ class MqttBridge(Bridge):
             password = secret_in(file, "mqtt.password_file", BridgeError) if file else None
             client.username_pw_set(settings.user, password)
         if settings.tls:
-            client.tls_set_context(_tls(settings.ca_file))
+            file = settings.ca_file
+            try:
+                tls = ssl.create_default_context(cafile=str(written_out(file)) if file else None)
+            except (OSError, ssl.SSLError) as error:
+                raise BridgeError(
+                    f"mqtt.ca_file: {file} cannot be used ({error}); give a file of PEM"
+                ) from error
+            client.tls_set_context(tls)
 
 
 class _Client(mqtt.Client):
@@ -240,14 +246,9 @@ def _words(code: ReasonCode, properties: Properties | None) -> str:
     return f"{code}: {said}" if said else str(code)
 
 
-def entity_of(topic: str) -> str:
-    """Return the name in Home Assistant of what has this topic."""
-    return topic.replace("/", "_")
-
-
 def announcements(discovery: str, topic: str, labels: Sequence[str]) -> dict[str, bytes]:
     """Return what announces a pad to Home Assistant, by topic: its gestures, and whether it is touched."""
-    name = entity_of(topic)
+    name = topic.replace("/", "_")
     common = {
         "availability_topic": f"{topic}/state",
         "availability_template": "{{ 'online' if value in ('up', 'degraded') else 'offline' }}",
@@ -271,10 +272,3 @@ def announcements(discovery: str, topic: str, labels: Sequence[str]) -> dict[str
 def _pressure(frame: Frame) -> bytes:
     fields = {"time": timestamp(arrival_s(frame)), "sensor_ms": frame.sensor_ms}
     return msgspec.json.encode(fields | {"pressure": frame.pressure.tolist()})
-
-
-def _tls(ca_file: str | None) -> ssl.SSLContext:
-    try:
-        return ssl.create_default_context(cafile=str(written_out(ca_file)) if ca_file else None)
-    except (OSError, ssl.SSLError) as error:
-        raise BridgeError(f"mqtt.ca_file: {ca_file} cannot be used ({error}); give a file of PEM") from error

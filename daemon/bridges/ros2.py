@@ -7,7 +7,6 @@ import logging
 import socket
 import time
 from dataclasses import dataclass
-from typing import TypeVar
 
 from cyclonedds.core import DDSException
 from cyclonedds.domain import DomainParticipant
@@ -92,9 +91,6 @@ def image(frame: Frame, pad: str) -> Image:
     )
 
 
-Message = TypeVar("Message", String, Image)
-
-
 class Ros2Outlet:
     """Publishes gesture (a String, told ones only), event (JSON in a String) and pressure (an Image).
 
@@ -114,11 +110,10 @@ class Ros2Outlet:
         # ROS 2 prefixes the names of its DDS topics with rt.
         prefix = f"rt/{name}/{pad}"
 
-        def writer(what: str, kind: type[Message]) -> DataWriter[Message]:
-            return DataWriter(publisher, Topic(participant, f"{prefix}/{what}", kind), QOS)
-
-        self._gesture, self._event = writer("gesture", String), writer("event", String)
-        self._pressure = writer("pressure", Image)
+        self._gesture, self._event, self._pressure = (
+            DataWriter(publisher, Topic(participant, f"{prefix}/{what}", kind), QOS)
+            for what, kind in (("gesture", String), ("event", String), ("pressure", Image))
+        )
         self._pad = pad
 
     def send_event(self, event: Event) -> None:
@@ -129,7 +124,7 @@ class Ros2Outlet:
     def send_frame(self, frame: Frame) -> None:
         self._write(self._pressure, image(frame, self._pad))
 
-    def _write(self, writer: DataWriter[Message], message: Message) -> None:
+    def _write(self, writer: DataWriter[IdlStruct], message: IdlStruct) -> None:
         if time.monotonic() - self._looked_s > LOOK_S:
             self._looked_s = time.monotonic()
             if set(own_addresses()) != self._addresses:
