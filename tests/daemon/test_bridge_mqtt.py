@@ -340,19 +340,3 @@ def test_a_lost_broker_is_reported_with_its_reason(
         wait_for(lambda: "is away" in caplog.text)
     assert reason in caplog.text
     assert "Unspecified" not in caplog.text
-
-
-def test_a_return_of_the_broker_is_said_once(
-    tmp_path: Path, opened: Open, caplog: pytest.LogCaptureFixture
-) -> None:
-    port = free_port()
-    with caplog.at_level("INFO"):
-        with broker(tmp_path, port):
-            bridge = opened(port)
-            wait_for(lambda: "connected to" in caplog.text)
-        wait_for(lambda: "cannot be reached" in caplog.text)
-        caplog.clear()
-        with broker(tmp_path, port):
-            wait_for(bridge._peer_is_there.is_set)
-            bridge.stop(2.0)
-    assert caplog.text.count("connected to") == 1
