@@ -53,8 +53,8 @@ class Parts:
     """The configured pads and sinks. Nothing runs yet.
 
     sinks: the robot comes last, so that its own events follow the answer that caused them. live, kept,
-    bridges: those of the sinks that take frames, too; None if not configured. labeller: takes the labels of
-    the live page, None if it takes none. Others share it, so that all labels are counted together.
+    bridges: those of the sinks that take frames, too; None if not configured. labeller: takes labels from
+    wherever they come.
     """
 
     pads: tuple[PadChannel, ...]
@@ -62,7 +62,7 @@ class Parts:
     live: LiveServer | None
     kept: TouchSink | None
     bridges: tuple[Bridge, ...]
-    labeller: Labeller | None
+    labeller: Labeller
 
 
 @config_errors()
@@ -98,19 +98,17 @@ def _with_sinks(
     sinks: list[Sink] = []
     kept: TouchSink | None = None
     live: LiveServer | None = None
-    labeller: Labeller | None = None
+    labeller = make_labeller(settings, models, emit)
     if settings.journal is not None:
         sinks.append(open_journal(settings.journal))
         if settings.journal.keep_touches is not None:
             kept = keep_touches(settings)
             sinks.append(kept)
     if settings.live is not None:
-        if settings.live.label:
-            labeller = make_labeller(settings, models, emit)
         # It brings asyncio and websockets, which no daemon without a page needs.
         from touchd.daemon.live.server import open_live_page
 
-        live = open_live_page(settings, models, labeller)
+        live = open_live_page(settings, models, labeller if settings.live.label else None)
         sinks.append(live)
     bridges: tuple[Bridge, ...] = ()
     if any(settings.bridges.values()):

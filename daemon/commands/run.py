@@ -6,7 +6,6 @@ import logging
 import os
 import signal
 import sys
-import typing
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 
@@ -20,7 +19,6 @@ from touchd.daemon.live.address import EVERY_ADDRESS, parse_address, qr_code, ur
 from touchd.daemon.path.events import Event, RobotEvent, encode
 from touchd.daemon.path.service import Service
 from touchd.daemon.robot.words import words_of
-from touchd.daemon.sinks.labels import make_labeller
 from touchd.daemon.sinks.sink import LinesSink
 from touchd.daemon.sinks.tags import changed, serving_tags
 from touchd.daemon.view.describe import describe
@@ -29,9 +27,6 @@ from touchd.daemon.view.terminal import listening
 # Python's thread switch interval; its default, 5 ms, is longer than an answer takes.
 SWITCH_S = 0.0005
 LOG_STOP_S = 0.4
-
-if typing.TYPE_CHECKING:
-    from touchd.daemon.view.view import View
 
 log = logging.getLogger(__name__)
 
@@ -152,7 +147,9 @@ def _show_in_terminal(service: Service, settings: Settings, page: str, closing: 
     title = f"{first.sensor.port} · {page}" if page else first.sensor.port
     view = View(title, words_of(settings), first.scene.answer_at_frames, pad=name)
     closing.enter_context(view)
-    show_on(view, service, settings)
+    service.tell(view)
+    service.watchers.append(view)
+    view.labeller = service.parts.labeller
     closing.enter_context(listening(view.on_key))
     return ViewLog(view)
 
@@ -162,14 +159,6 @@ def _log_to_stderr(closing: ExitStack) -> logging.Handler:
     writer.start()
     closing.callback(writer.stop, LOG_STOP_S)
     return writer
-
-
-def show_on(view: "View", service: Service, settings: Settings) -> None:
-    """Show everything on a view, and take labels from it."""
-    service.tell(view)
-    service.watchers.append(view)
-    models = {pad.name: pad.model for pad in service.pads}
-    view.labeller = service.parts.labeller or make_labeller(settings, models, service.events.emit)
 
 
 def _reporting(service: Service, must_stop: Callable[[], bool], closing: ExitStack) -> Callable[[], bool]:

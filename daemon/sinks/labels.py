@@ -56,10 +56,10 @@ class Labeller:
         labelled.add(touch.touch)
         now = timestamp(time.time())
         self._emit(Label(touch=touch.touch, began=touch.time, gesture=gesture, time=now, pad=touch.pad))
-        return self._advice(touch.pad, len(labelled)) if is_new and len(labelled) % ENOUGH == 0 else ""
-
-    def _advice(self, pad: str, count: int) -> str:
-        folder = self._folders.get(pad)
+        count = len(labelled)
+        if not is_new or count % ENOUGH:
+            return ""
+        folder = self._folders.get(touch.pad)
         if folder is None:
             return f"{count} touches labelled; set journal.keep_touches, so that touchd can learn from them"
         # A gesture that nobody has labelled yet must not be dropped.

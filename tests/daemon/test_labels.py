@@ -1,6 +1,5 @@
 """Labels: what a person says that a touch was, as events and as advice."""
 
-import itertools
 import os
 import signal
 import termios
@@ -15,15 +14,10 @@ from rigs.patient_port import playing
 from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S, wait_for
 
-from touchd.daemon.app.config import LiveSettings, Settings
-from touchd.daemon.commands.run import show_on
 from touchd.daemon.path.events import Event, Label, encode
-from touchd.daemon.path.service import Service
-from touchd.daemon.robot.words import words_of
 from touchd.daemon.sinks.labels import LabelError, Labeller, keys_of
 from touchd.daemon.sinks.touch_store import folder_of, kept_touches, labels_in
 from touchd.daemon.sinks.touches import decode
-from touchd.daemon.view.view import View
 
 GESTURES = ("notouch", "pat", "stroke")
 
@@ -61,21 +55,6 @@ def test_without_kept_frames_it_says_how_to_keep_them() -> None:
     labeller = Labeller(lambda _: None, {"pad": GESTURES}, {})
     said = [labeller.label(touch(number), "pat") for number in range(10)]
     assert "journal.keep_touches" in said[-1]
-
-
-def test_labels_from_the_terminal_and_the_page_are_counted_together() -> None:
-    settings = Settings(live=LiveSettings(port=0, label=True), journal=None)
-    service = Service(settings)
-    view = View("", words_of(Settings()), (54,))
-    show_on(view, service, settings)
-    page = service.parts.labeller
-    assert page is not None
-    assert view.labeller is not None
-    takers = itertools.cycle([page, view.labeller])
-    said = [next(takers).label(touch(number), "pat") for number in range(10)]
-    assert [bool(line) for line in said] == [False] * 9 + [True]
-    assert service.parts.live is not None
-    service.parts.live.stop(1.0)
 
 
 def test_a_key_says_what_the_touch_on_the_screen_was(tmp_path: Path) -> None:
