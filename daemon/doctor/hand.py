@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rich.console import Console, Group
 from rich.live import Live
 
-from touchd.daemon.view.pad_picture import pad_picture
+from touchd.daemon.view.elements import pad_picture
 from touchd.drivers.frame import COLUMNS, ROWS
 from touchd.drivers.pad.format import LONGEST_SIDE, SHORTEST_SIDE, PadFormat
 from touchd.drivers.pad.parser import FrameParser

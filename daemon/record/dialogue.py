@@ -19,8 +19,7 @@ from touchd.daemon.path.events import timestamp
 from touchd.daemon.record.capture import SINGLE_WITHIN_S, Capture, PadLost, PadReader, complaints
 from touchd.daemon.record.session import Session, Take
 from touchd.daemon.sinks.touch_store import description_of
-from touchd.daemon.view.elements import big
-from touchd.daemon.view.pad_picture import pad_picture
+from touchd.daemon.view.elements import big, pad_picture
 from touchd.daemon.view.terminal import Stopped, ask, listening
 from touchd.drivers.frame import COLUMNS, NO_TOUCH, OTHER, ROWS, Counts, Frame
 from touchd.drivers.pace import pace_of

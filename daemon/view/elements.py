@@ -1,12 +1,17 @@
-"""Parts of the view: words in large letters, the probabilities as bars, and the time line of a touch."""
+"""Parts of the view: the pad, words in large letters, the probabilities as bars, the time line of a touch."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
+from itertools import groupby
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
 from rich.style import Style
 from rich.text import Text
 
-from touchd.daemon.view.pad_picture import joined
+from touchd.drivers.frame import COLUMNS
 
 # The page's dark theme. rich leaves the colours out where the terminal has none.
 PAPER = Style.parse("on #0c0f13")
@@ -21,40 +26,35 @@ RAIL = Style.parse("#2b323d on #0c0f13")
 TRACE = Style.parse("#2f5d80 on #0c0f13")
 ACCENT_FLAG = Style.parse("#f3f5f8 on #17364f")
 CHANGED_FLAG = Style.parse("#ffb65c on #3b2a12")
-LETTER_ROWS = 5
-# Five rows a letter, from top to bottom; a dot is empty.
+# As on the live page: colours follow the logarithm of pressure, from "light" to "firm" counts.
+LIGHT_COUNTS = 4.0
+FIRM_COUNTS = 250.0
+# The page's dark theme, which rich turns into the terminal's colours; from no pressure to firm.
+HEAT = ("#171c24", "#42249a", "#85248a", "#d04361", "#f9903f", "#fdf4b5")
+SHADES = 64
+# Without colours.
+CHARACTERS = " ·:-=+*#%@"
+# The pixels of letters, row by row; a dot is empty.
+FONT = {
+    "ABCDEFGHIJKLMÄÖÜ- ": (
+        ".#. ##. .## ##. ### ### .## #.# # ..# #..# #.. #...# #.# #.# #.# ... ..",
+        "#.# #.# #.. #.# #.. #.. #.. #.# # ..# #.#. #.. ##.## .#. .#. ... ... ..",
+        "### ##. #.. #.# ##. ##. #.# ### # ..# ##.. #.. #.#.# #.# #.# #.# ### ..",
+        "#.# #.# #.. #.# #.. #.. #.# #.# # #.# #.#. #.. #...# ### #.# #.# ... ..",
+        "#.# ##. .## ##. ### #.. .## #.# # .#. #..# ### #...# #.# .#. ### ... ..",
+    ),
+    "NOPQRSTUVWXYZ": (
+        "#..# .#. ##. .##. ##. .## ### #.# #.# #...# #.# #.# ###",
+        "##.# #.# #.# #..# #.# #.. .#. #.# #.# #...# #.# #.# ..#",
+        "#.## #.# ##. #..# ##. .#. .#. #.# #.# #.#.# .#. .#. .#.",
+        "#..# #.# #.. #.#. #.# ..# .#. #.# #.# ##.## #.# .#. #..",
+        "#..# .#. #.. .#.# #.# ##. .#. ### .#. #...# #.# .#. ###",
+    ),
+}
 LETTERS = {
-    "A": ".#. #.# ### #.# #.#",
-    "B": "##. #.# ##. #.# ##.",
-    "C": ".## #.. #.. #.. .##",
-    "D": "##. #.# #.# #.# ##.",
-    "E": "### #.. ##. #.. ###",
-    "F": "### #.. ##. #.. #..",
-    "G": ".## #.. #.# #.# .##",
-    "H": "#.# #.# ### #.# #.#",
-    "I": "# # # # #",
-    "J": "..# ..# ..# #.# .#.",
-    "K": "#..# #.#. ##.. #.#. #..#",
-    "L": "#.. #.. #.. #.. ###",
-    "M": "#...# ##.## #.#.# #...# #...#",
-    "N": "#..# ##.# #.## #..# #..#",
-    "O": ".#. #.# #.# #.# .#.",
-    "P": "##. #.# ##. #.. #..",
-    "Q": ".##. #..# #..# #.#. .#.#",
-    "R": "##. #.# ##. #.# #.#",
-    "S": ".## #.. .#. ..# ##.",
-    "T": "### .#. .#. .#. .#.",
-    "U": "#.# #.# #.# #.# ###",
-    "V": "#.# #.# #.# #.# .#.",
-    "W": "#...# #...# #.#.# ##.## #...#",
-    "X": "#.# #.# .#. #.# #.#",
-    "Y": "#.# #.# .#. .#. .#.",
-    "Z": "### ..# .#. #.. ###",
-    "Ä": "#.# .#. #.# ### #.#",
-    "Ö": "#.# .#. #.# #.# .#.",
-    "Ü": "#.# ... #.# #.# ###",
-    "-": "... ... ### ... ...",
-    " ": ".. .. .. .. ..",
+    letter: pixels
+    for letters, rows in FONT.items()
+    for letter, pixels in zip(letters, zip(*map(str.split, rows), strict=True), strict=True)
 }
 # Block characters for a pixel above and one below.
 BLOCKS = {"..": " ", "#.": "▀", ".#": "▄", "##": "█"}
@@ -69,15 +69,67 @@ STEPS = " ▁▂▃▄▅▆▇█"
 Cells = list[list[tuple[str, Style]]]
 
 
+def heat_of(console: Console) -> tuple[str, ...]:
+    """Return the colours from no pressure to firm, none for a console without colours."""
+    # With NO_COLOR rich keeps the colour system and drops the colours.
+    return _between(HEAT) if console.color_system is not None and not console.no_color else ()
+
+
+def pad_picture(pressure: NDArray[np.float64], scale: int, console: Console) -> list[Text]:
+    """Return (8, 8) counts above rest as 4 * scale lines of 8 * scale characters."""
+    heat = heat_of(console)
+    levels = np.log1p(np.maximum(pressure, 0.0) / LIGHT_COUNTS) / np.log1p(FIRM_COUNTS / LIGHT_COUNTS)
+    weights = _weights(scale)
+    pixels = np.clip(weights @ levels @ weights.T, 0.0, 1.0)
+    if not heat:
+        at = np.minimum((pixels[::2] * len(CHARACTERS)).astype(int), len(CHARACTERS) - 1)
+        return [Text("".join(CHARACTERS[i] for i in row)) for row in at.tolist()]
+    shades = np.rint(pixels * (len(heat) - 1)).astype(int).tolist()
+    return [
+        joined(("▀", _halves(heat[a], heat[b])) for a, b in zip(upper, lower, strict=True))
+        for upper, lower in zip(shades[::2], shades[1::2], strict=True)
+    ]
+
+
+def joined(cells: Iterable[tuple[str, Style]]) -> Text:
+    """Return a line of characters with their styles."""
+    line = Text()
+    for style, run in groupby(cells, key=lambda cell: cell[1]):
+        line.append("".join(character for character, _ in run), style)
+    return line
+
+
+@cache
+def _halves(upper: str, lower: str) -> Style:
+    """Return the style of ▀ with one colour above another."""
+    return Style(color=upper, bgcolor=lower)
+
+
+@cache
+def _between(stops: tuple[str, ...]) -> tuple[str, ...]:
+    """Return SHADES colours along the stops."""
+    rgb = np.array([[int(stop[i : i + 2], 16) for i in (1, 3, 5)] for stop in stops])
+    at = np.linspace(0, len(stops) - 1, SHADES)
+    mixed = np.rint([np.interp(at, range(len(stops)), channel) for channel in rgb.T]).astype(int)
+    return tuple("#{:02x}{:02x}{:02x}".format(*shade) for shade in mixed.T)
+
+
+@cache
+def _weights(scale: int) -> NDArray[np.float64]:
+    """Return the weights of linear interpolation, (8 * scale, 8)."""
+    at = (np.arange(COLUMNS * scale) + 0.5) / scale - 0.5
+    distance = np.abs(np.clip(at, 0, COLUMNS - 1)[:, None] - np.arange(COLUMNS)[None, :])
+    return np.maximum(0.0, 1.0 - distance)
+
+
 def big(word: str, width: int) -> list[str]:
     """Return a word in three lines, twice as wide where there is room.
 
     If the word does not fit or has other letters, return it plain.
     """
-    letters = [LETTERS.get(letter) for letter in word.upper()]
-    if None in letters:
+    if not set(word.upper()) <= LETTERS.keys():
         return [word]
-    rows = [".".join((letter or "").split()[row] for letter in letters) for row in range(LETTER_ROWS)]
+    rows = [".".join(row) for row in zip(*(LETTERS[letter] for letter in word.upper()), strict=True)]
     if 2 * len(rows[0]) <= width:
         rows = ["".join(2 * pixel for pixel in row) for row in rows]
     if len(rows[0]) > width:

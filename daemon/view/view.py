@@ -2,10 +2,9 @@
 
 import logging
 import signal
-import textwrap
 import threading
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 
 import numpy as np
@@ -30,7 +29,7 @@ from touchd.daemon.path.events import (
     TouchEnded,
 )
 from touchd.daemon.robot.words import Vocabulary, name_of
-from touchd.daemon.sinks.labels import LabelError, Labeller, keys_of
+from touchd.daemon.sinks.labels import Labeller, keys_of
 from touchd.daemon.sinks.touches import ReportedTouch
 from touchd.daemon.view.describe import describe
 from touchd.daemon.view.elements import (
@@ -45,9 +44,10 @@ from touchd.daemon.view.elements import (
     Flag,
     bars,
     big,
+    heat_of,
+    pad_picture,
     time_line,
 )
-from touchd.daemon.view.pad_picture import heat_of, pad_picture
 from touchd.drivers.frame import COLUMNS, DEFAULT_PAD, FRAME_RATE_HZ, ROWS, Counts, Frame
 
 REFRESH_HZ = 12
@@ -113,7 +113,7 @@ class View:
         self._recent: deque[float] = deque([0.0], maxlen=LATE_FRAMES)
         self._last_ms: int | None = None
         self._touches: deque[ShownTouch] = deque(maxlen=TOUCHES)
-        self._labels: dict[str, str] = {}
+        self._labels: tuple[str, ...] = ()
         self._now: LivePrediction | None = None
         self._states = {"pad": "awaited"}
         self._said_by_robot = ""
@@ -141,7 +141,7 @@ class View:
     def show_frame(self, pressure: Counts, sensor_ms: int) -> None:
         """Show (8, 8) counts at the next refresh. sensor_ms: the sensor's clock."""
         with self._lock:
-            touch = self._going_on()
+            touch = self._touch if self._touch and self._touch.ended is None else None
             if self._rest is None:
                 self._rest = pressure.astype(np.float64)
             elif touch is None:
@@ -166,40 +166,22 @@ class View:
         if self.labeller is None:
             return
         gesture = keys_of(self.labeller.gestures[self._shown_pad]).get(key)
-        with self._lock:
-            touch = self._touches[-1].began if self._touches else None
-        if gesture is None or touch is None:
-            return
-        try:
-            if advice := self.labeller.label(touch, gesture):
-                self.note(advice)
-        except LabelError as error:
-            self.note(str(error), is_bad=True)
+        touch = self._touch
+        if gesture and touch and (advice := self.labeller.label(touch.began, gesture)):
+            self.note(advice)
 
     def put(self, event: Event | LivePrediction) -> None:
         if not isinstance(event, RobotEvent) and event.pad != self._shown_pad:
             return
         with self._lock:
-            if isinstance(event, TouchBegan | Prediction | TouchEnded):
-                self._now = None
-            if isinstance(event, LivePrediction):
-                self._now = event
-            if isinstance(event, LivePrediction | Prediction):
-                self._name_labels(event.probabilities)
-            self._put_into_touches(event)
-            match event:
-                case SensorEvent():
-                    self._states["pad"] = event.state
-                case RobotEvent():
-                    self._states["robot"] = event.state
-                case RobotAction(action="say" | "animated_say"):
-                    self._said_by_robot = f"“{event.what}”"
-                case RobotAction(action="behavior"):
-                    self._said_by_robot = event.what
+            self._take(event)
         if isinstance(event, SensorEvent | RobotEvent | Label):
             self.note(describe(event, self._words), getattr(event, "state", "up") != "up")
 
-    def _put_into_touches(self, event: Event | LivePrediction) -> None:
+    def _take(self, event: Event | LivePrediction) -> None:
+        self._now = event if isinstance(event, LivePrediction) else None
+        if isinstance(event, LivePrediction | Prediction):
+            self._labels = tuple(event.probabilities)
         match event:
             case TouchBegan():
                 shown = ShownTouch(event)
@@ -212,6 +194,14 @@ class View:
                 for touch in self._touches:
                     if touch.began.touch == event.touch:
                         touch.label = event.gesture
+            case SensorEvent():
+                self._states["pad"] = event.state
+            case RobotEvent():
+                self._states["robot"] = event.state
+            case RobotAction(action="say" | "animated_say"):
+                self._said_by_robot = f"“{event.what}”"
+            case RobotAction(action="behavior"):
+                self._said_by_robot = event.what
 
     def stop(self, timeout_s: float = 0.0) -> None:
         """Restore the terminal, if it is still there."""
@@ -249,9 +239,10 @@ class View:
         lines = [Text.assemble(" ", *both) for both in zip(left, right, strict=True)]
         return [self._header(width), *lines, *keys, self._robot_line(), *notes]
 
-    def _going_on(self) -> ShownTouch | None:
-        touch = self._touches[-1] if self._touches else None
-        return touch if touch is not None and touch.ended is None else None
+    @property
+    def _touch(self) -> ShownTouch | None:
+        """The ongoing touch, or else the last one."""
+        return self._touches[-1] if self._touches else None
 
     def _header(self, width: int) -> Text:
         vitals = Text()
@@ -294,52 +285,48 @@ class View:
         return line
 
     def _right(self, width: int, height: int) -> list[Text]:
-        touch = self._touches[-1] if self._touches else None
-        is_touched = self._going_on() is not None
-        word, style = self._answer(touch)
-        lines = [Text(self._which(touch), MUTED), *(Text(row, style + BOLD) for row in big(word, width))]
-        lines += self._remarks(touch)
-        flags = [self._flag(touch, at) for at in range(len(touch.predictions))] if touch else []
+        touch = self._touch
+        answers = touch.predictions if touch else []
+        lines = [*self._answer(touch, width), *self._remarks(answers)]
         room_for_bars = min(max(len(self._labels), FEWEST_BARS), max(height - 12, 3))
         line_height = height - len(lines) - room_for_bars
         if line_height >= 3:
-            trace = list(touch.trace) if touch else []
-            lines += time_line(trace, self._marks_s, flags, (width, line_height))
-        answer = touch.predictions[-1] if touch and touch.predictions and is_touched else None
-        shown = (self._now or answer) if is_touched else None
+            flags = [self._flag(answers, at) for at in range(len(answers))]
+            lines += time_line(touch.trace if touch else (), self._marks_s, flags, (width, line_height))
+        # The bars are empty between touches.
+        answer = answers[-1] if touch and touch.ended is None and answers else None
+        shown = self._now or answer
         shares, stands = shown.probabilities if shown else {}, answer.gesture if answer else ""
-        return lines + bars(self._labels, shares, stands, (width, room_for_bars))
+        names = {label: self._name(label) for label in self._labels}
+        return lines + bars(names, shares, stands, (width, room_for_bars))
 
-    def _which(self, touch: ShownTouch | None) -> str:
-        if touch is None:
-            return "No touch yet"
-        which = "Touch" if touch.ended is None else "Last touch:"
-        return f"{which} {touch.began.touch} · {touch.length_s:.1f} s"
+    def _answer(self, touch: ShownTouch | None, width: int) -> list[Text]:
+        """Return which touch is shown, and its answer in large letters."""
+        which, word, style = "No touch yet", "...", FAINT
+        if touch is not None:
+            which = "Touch" if touch.ended is None else "Last touch:"
+            which = f"{which} {touch.began.touch} · {touch.length_s:.1f} s"
+        if touch and touch.predictions:
+            word = self._name(touch.predictions[-1].gesture)
+            style = CHANGED if self._before(touch.predictions) else ACCENT
+            if touch.ended is not None:
+                style = MUTED
+        elif touch is None or touch.ended is not None:
+            word = "no pad" if self._states["pad"] == "down" else "touch me"
+        return [Text(which, MUTED), *(Text(row, style + BOLD) for row in big(word, width))]
 
-    def _answer(self, touch: ShownTouch | None) -> tuple[str, Style]:
-        if touch is None or (touch.ended is not None and not touch.predictions):
-            return "no pad" if self._states["pad"] == "down" else "touch me", FAINT
-        if not touch.predictions:
-            return "...", FAINT
-        word = self._name(touch.predictions[-1].gesture)
-        if touch.ended is not None:
-            return word, MUTED
-        return word, CHANGED if self._before(touch, len(touch.predictions) - 1) else ACCENT
-
-    def _remarks(self, touch: ShownTouch | None) -> list[Text]:
-        if touch is None or not touch.predictions:
+    def _remarks(self, answers: Sequence[Prediction]) -> list[Text]:
+        if not answers:
             return [Text(), Text()]
-        answer = touch.predictions[-1]
-        after = f"after {answer.elapsed_s:.3g} s"
-        sure = Text(after, INK)
+        answer = answers[-1]
+        sure = Text(f"after {answer.elapsed_s:.3g} s", INK)
         # Of an unsure answer the confidence is the likeliest gesture's.
         if answer.gesture != UNCERTAIN:
-            share = (f"{answer.confidence:.0%}", INK + BOLD)
-            sure = Text.assemble(share, (f" sure, {after}", INK))
+            sure = Text.assemble((f"{answer.confidence:.0%}", INK + BOLD), (" sure, ", INK), sure)
         remark = Text()
-        if before := self._before(touch, len(touch.predictions) - 1):
+        if before := self._before(answers):
             remark.append(f"↻ was {before} · ", CHANGED)
-        told = [said for said in touch.predictions if said.told and said.gesture == answer.gesture]
+        told = [said for said in answers if said.told and said.gesture == answer.gesture]
         status = f"told after {told[0].elapsed_s:.3g} s" if told else "not sure enough to tell"
         remark.append(status, MUTED)
         likeliest = max(answer.probabilities, key=lambda label: answer.probabilities[label])
@@ -347,19 +334,18 @@ class View:
             remark.append(f" · {self._name(likeliest)} is likelier now", MUTED)
         return [sure, remark]
 
-    def _flag(self, touch: ShownTouch, at: int) -> Flag:
-        said = touch.predictions[at]
-        before = self._before(touch, at)
+    def _flag(self, answers: Sequence[Prediction], at: int) -> Flag:
+        said, before = answers[at], self._before(answers[: at + 1])
         told = " ✓" if said.told else ""
         sure = "" if said.gesture == UNCERTAIN else f" {said.confidence:.0%}"
         text = f"{'↻ ' if before else ''}{self._name(said.gesture)}{sure}{told}"
         return Flag(said.elapsed_s + said.age_ms / 1000.0, text, bool(before))
 
-    def _before(self, touch: ShownTouch, at: int) -> str:
-        """Return the name of the told answer that this one replaced, or ""."""
-        said = touch.predictions[at]
-        earlier = [one.gesture for one in touch.predictions[:at] if one.told and one.gesture != said.gesture]
-        return self._name(earlier[-1]) if said.changed and earlier else ""
+    def _before(self, answers: Sequence[Prediction]) -> str:
+        """Return the name of the told answer that the last one replaced, or ""."""
+        *earlier, last = answers
+        replaced = [one.gesture for one in earlier if one.told and one.gesture != last.gesture]
+        return self._name(replaced[-1]) if last.changed and replaced else ""
 
     def _robot_line(self) -> Text:
         if not self._said_by_robot:
@@ -370,8 +356,7 @@ class View:
         """Return which key says what the touch on the screen was; blank lines while there is no touch."""
         if self.labeller is None:
             return []
-        touch = self._touches[-1] if self._touches else None
-        lines = [Text(" It was: ", MUTED)]
+        lines, touch = [Text(" It was: ", MUTED)], self._touch
         for key, gesture in keys_of(self.labeller.gestures[self._shown_pad]).items():
             style = ACCENT if touch and gesture == touch.label else INK
             entry = Text.assemble((key, style + BOLD), (f" {self._name(gesture)}  ", style))
@@ -383,16 +368,10 @@ class View:
 
     def _note_lines(self, width: int, most: int) -> list[Text]:
         """Return what is going on and the latest note, wrapped to `width` and cut after `most` rows."""
-        doing = f" {self._doing} " if self._doing else ""
-        wrap = textwrap.TextWrapper(width, max_lines=most, placeholder=" …", break_on_hyphens=False)
-        rows = wrap.wrap(" " * len(doing) + self._note) or [""]
-        style = BAD if self._is_note_bad else FAINT
-        lines = [Text(f" {row}", style) for row in rows]
-        lines[0] = Text.assemble((doing, INK), (f" {rows[0][len(doing) :]}", style))
-        return lines
-
-    def _name_labels(self, labels: Iterable[str]) -> None:
-        self._labels = {label: name_of(self._words, label) for label in labels}
+        note = Text(f" {self._doing} " if self._doing else "", INK)
+        note.append(f" {self._note}", BAD if self._is_note_bad else FAINT)
+        note.truncate(width * most, overflow="ellipsis")
+        return [*note.wrap(self._console, width)][:most]
 
     def _name(self, gesture: str) -> str:
         return name_of(self._words, gesture)
