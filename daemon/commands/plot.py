@@ -41,17 +41,10 @@ def main(arguments: Sequence[str]) -> int:
     # A notebook sets one that is not installed here.
     os.environ["MPLBACKEND"] = "agg"
     # Imported here because they need matplotlib.
-    from touchd.daemon.plot.plot import (
-        PlotError,
-        check_format,
-        draw_recording,
-        draw_touches,
-        save,
-        trace,
-    )
+    from touchd.daemon.plot import plot
 
     path: Path = options.out or picture_of(options.files[0])
-    check_format(path)
+    plot.check_format(path)
     # A name from an old disk or archive may not be UTF-8, which matplotlib cannot write.
     names = one_line(", ".join(file.name for file in options.files))
     if all(file.is_dir() or file.name.endswith(SUFFIXES) for file in options.files):
@@ -59,13 +52,13 @@ def main(arguments: Sequence[str]) -> int:
         model = load_model(settings)
         stream = chosen_stream(options)
         with Console(stderr=True).status("drawing"):
-            traced = trace(stream, settings, model)
-            figure = draw_recording(traced, f"{names}, answers of {model.name}")
+            traced = plot.trace(stream, settings, model)
+            figure = plot.draw_recording(traced, f"{names}, answers of {model.name}")
     elif len(options.files) == 1:
-        figure = draw_touches(read_journal(options.files[0])[-options.touches :], names)
+        figure = plot.draw_touches(read_journal(options.files[0])[-options.touches :], names)
     else:
-        raise PlotError(f"{names}: give one journal, or recordings only")
-    save(figure, path)
+        raise plot.PlotError(f"{names}: give one journal, or recordings only")
+    plot.save(figure, path)
     sys.stdout.write(f"{path}\n")
     return 0
 

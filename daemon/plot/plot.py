@@ -5,8 +5,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
@@ -22,14 +22,19 @@ from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH, OTHER
 from touchd.drivers.recording import UNLABELLED, Span, Stream
 from touchd.model.classifier import Classifier
 
-WIDTH_INCHES = 12.0
-DOTS_PER_INCH = 130
 FORMATS = (".png", ".svg", ".pdf")
 # One for each stage at a mark, and one for those about touches that are over or go on.
 LANES = ("early", "revised", "final", "released, later")
-# Names may contain what matplotlib parses as a formula.
-NO_FORMULA: Mapping[str, Any] = {"parse_math": False}
 INK, QUIET_INK, PALE = "#222222", "#777777", "#e4e4e4"
+# Names may contain what matplotlib parses as a formula.
+mpl.rc("text", parse_math=False)
+mpl.rc("figure", dpi=130, titlesize=11)
+mpl.rc("axes", titlesize=8, titlecolor=QUIET_INK, labelsize=8, labelcolor=QUIET_INK, edgecolor=QUIET_INK)
+mpl.rc("axes", axisbelow=True)
+mpl.rc("axes.spines", top=False, right=False)
+mpl.rc("grid", color=PALE)
+mpl.rc("xtick", color=QUIET_INK, labelsize=8)
+mpl.rc("ytick", color=QUIET_INK, labelsize=8)
 # Okabe and Ito's palette for colour-blind people; OTHER_COLOURS are for a lab's own gestures.
 COLOURS: Mapping[str, str] = {
     "constant": "#0072b2",
@@ -42,26 +47,14 @@ COLOURS: Mapping[str, str] = {
     NO_TOUCH: "#9a9a9a",
     UNCERTAIN: "#9a9a9a",
 }
-MARK: Mapping[str, Any] = {"marker": "o", "markersize": 6, "markeredgewidth": 1.4, "zorder": 3}
-BESIDE: Mapping[str, Any] = {"xytext": (6, 0), "textcoords": "offset points", "va": "center", "fontsize": 7.5}
 OTHER_COLOURS = ("#6a4c93", "#8c564b", "#b5a800", "#3d405b")
-# Of a journal.
-TOUCH_INCHES, LIST_TITLE_INCHES = 0.3, 1.3
+# In inches, and seconds.
+WIDTH, TITLE, ROW, PADS, TOUCH = 12.0, 0.8, 2.5, 2.0, 0.3
+ROW_S, LONGEST_S = 24.0, 300.0
 # A touch's answers in the order in which they came; those between the third and the last are not shown.
 COLUMNS = ("first", "second", "third", "last")
-# Of a recording.
-ROW_S = 24.0
-LONGEST_S = 300.0
 LEGEND = "filled: sent to the robot    red: another gesture was performed    grey: a touch was detected"
-ROW_INCHES, PADS_INCHES, TITLE_INCHES = 2.5, 2.0, 0.5
-LABEL: Mapping[str, Any] = {
-    "ha": "center",
-    "va": "bottom",
-    "fontsize": 8.5,
-    "fontweight": "bold",
-    **NO_FORMULA,
-}
-LEAST_COLUMNS, MOST_COLUMNS = 4, 7
+LEAST_PADS, MOST_PADS = 4, 7
 LIGHTEST_FRAMES = 9
 # Lowest upper end of the scale, so that noise does not look like a touch.
 LEAST_SCALE_COUNTS = 100.0
@@ -80,8 +73,8 @@ def colour_of(gesture: str, gestures: Iterable[str]) -> str:
 
 
 def new_figure(height_inches: float, title: str) -> Figure:
-    figure = Figure(figsize=(WIDTH_INCHES, height_inches), layout="constrained", facecolor="white")
-    figure.suptitle(title, fontsize=11, color=INK, **NO_FORMULA)
+    figure = Figure(figsize=(WIDTH, height_inches), layout="constrained")
+    figure.suptitle(title)
     return figure
 
 
@@ -94,44 +87,33 @@ def check_format(path: Path) -> None:
 def save(figure: Figure, path: Path) -> None:
     """Write a figure in the format that the suffix names; raises PlotError."""
     with os_errors_as(PlotError, f"{path}: cannot be written", "name another file with -o"):
-        figure.savefig(path, dpi=DOTS_PER_INCH)
+        figure.savefig(path)
 
 
 def draw_answer(
-    axes: Axes,
-    x: float,
-    y: float,
-    answer: Prediction,
-    gestures: Iterable[str],
-    *,
-    wrong: bool = False,
-    when: str = "",
+    axes: Axes, at: tuple[float, float], answer: Prediction, colour: str, when: str = "", wrong: bool = False
 ) -> None:
-    """Draw an answer, filled if it was sent to the robot, and `when` it came.
-
-    gestures: all those in the picture.
-    """
-    colour = colour_of(answer.gesture, gestures)
+    """Draw an answer, filled if it was sent to the robot, and `when` it came."""
     inside = colour if answer.told else "white"
-    axes.plot([x], [y], markeredgecolor=colour, markerfacecolor=inside, clip_on=False, **MARK)
+    axes.plot(*at, "o", markeredgecolor=colour, markerfacecolor=inside, clip_on=False, zorder=3)
     words = f"{answer.gesture} {answer.confidence:.0%}" if answer.gesture != UNCERTAIN else UNCERTAIN
-    ink, slant = ("#c00000", "italic") if wrong else (INK, "normal")
-    axes.annotate(f"{words}{when}", (x, y), color=ink, fontstyle=slant, annotation_clip=False, **BESIDE)
-
-
-def bare(axes: Axes, *keep: str) -> None:
-    """Remove the frame around axes, except for the sides to keep."""
-    for side, spine in axes.spines.items():
-        spine.set_visible(side in keep)
-        spine.set_color(QUIET_INK)
-    axes.tick_params(colors=QUIET_INK, labelsize=8)
+    axes.annotate(
+        f"{words}{when}",
+        at,
+        xytext=(6, 0),
+        textcoords="offset points",
+        va="center",
+        fontsize=7.5,
+        color="#c00000" if wrong else INK,
+        fontstyle="italic" if wrong else "normal",
+        annotation_clip=False,
+    )
 
 
 def draw_lanes(axes: Axes) -> None:
     """Draw a line at each tick and no frame."""
-    axes.grid(axis="y", color=PALE, linewidth=0.8)
-    axes.set_axisbelow(True)
-    bare(axes)
+    axes.grid(axis="y")
+    axes.spines[:].set_visible(False)
     axes.tick_params(length=0)
 
 
@@ -139,20 +121,20 @@ def draw_touches(touches: Sequence[ReportedTouch], title: str) -> Figure:
     """Draw touches, the oldest at the top; raises PlotError if there are none."""
     if not touches:
         raise PlotError(f"{title}: holds no touch yet")
-    gestures = sorted({answer.gesture for touch in touches for answer in touch.predictions})
-    height = LIST_TITLE_INCHES + TOUCH_INCHES * len(touches)
-    figure = new_figure(height, f"{title}: the last touches ({len(touches)})")
+    gestures = {answer.gesture for touch in touches for answer in touch.predictions}
+    figure = new_figure(TITLE + TOUCH * (len(touches) + 1), f"{title}: the last touches ({len(touches)})")
     axes = figure.subplots()
     for row, touch in enumerate(touches):
         shown = touch.predictions[: len(COLUMNS) - 1] + touch.predictions[len(COLUMNS) - 1 :][-1:]
         for column, answer in enumerate(shown):
-            draw_answer(axes, column, row, answer, gestures, when=f", {answer.elapsed_s:.3g} s")
+            colour, when = colour_of(answer.gesture, gestures), f", {answer.elapsed_s:.3g} s"
+            draw_answer(axes, (column, row), answer, colour, when)
     axes.set_xlim(-0.15, len(COLUMNS) - 0.2)
     axes.set_xticks(range(len(COLUMNS)), COLUMNS, ha="left")
     axes.set_ylim(len(touches) - 0.4, -0.6)
     several = len({touch.began.pad for touch in touches}) > 1
     axes.set_yticks(range(len(touches)), [_named(touch, several) for touch in touches])
-    axes.set_xlabel("answers; filled: sent to the robot", fontsize=8, color=QUIET_INK)
+    axes.set_xlabel("answers; filled: sent to the robot")
     draw_lanes(axes)
     return figure
 
@@ -170,13 +152,12 @@ class Trace:
     """A stream and what the pipeline made of it.
 
     time_s: (T,) since the first recorded frame; negative in quiet that was added before it. rise: (T, 8, 8)
-    counts above rest. is_rest_known: False where the lightest moment of a recording had to do for its rest.
+    counts above the lightest moment.
     """
 
     stream: Stream
     time_s: NDArray[np.float64]
     rise: NDArray[np.float64]
-    is_rest_known: bool
     touches: list[ReportedTouch]
     starts_s: list[float]
 
@@ -193,6 +174,12 @@ class Trace:
             return float(min(end_s, last_s) - max(start_s, first_s))
 
         return max(self.stream.spans, key=overlap_s).gesture
+
+    def rows(self) -> list[tuple[float, float]]:
+        """Return start and end of each row of the picture in seconds; all are of one length."""
+        end_s = float(self.time_s[_recorded(self.stream)[1] - 1])
+        ends_s = np.linspace(0.0, end_s, max(1, math.ceil(end_s / ROW_S)) + 1)
+        return list(pairwise(ends_s.tolist()))
 
 
 def trace(stream: Stream, settings: Settings, model: Classifier) -> Trace:
@@ -220,8 +207,7 @@ def trace(stream: Stream, settings: Settings, model: Classifier) -> Trace:
             starts_s.append(float(time_s[latest]) - (int(stream.sensor_ms[latest]) - event.sensor_ms) / 1000)
 
     play(stream, lambda clock: Pipeline(settings.pipeline, model, emit, clock), frames.append)
-    rise, is_rest_known = _rise(stream, restarts)
-    return Trace(stream, time_s, rise, is_rest_known, gather(events), starts_s)
+    return Trace(stream, time_s, _rise(stream, restarts), gather(events), starts_s)
 
 
 def _recorded(stream: Stream) -> tuple[int, int]:
@@ -230,60 +216,46 @@ def _recorded(stream: Stream) -> tuple[int, int]:
     return own[0].start, own[-1].stop
 
 
-def _rise(stream: Stream, restarts: NDArray[np.int64]) -> tuple[NDArray[np.float64], bool]:
-    """Return (T, 8, 8) counts above rest, which may change when the pad restarts, and whether it is known."""
-    is_quiet, is_own = np.zeros((2, len(stream.counts)), dtype=np.bool_)
-    for span in stream.spans:
-        part = slice(span.start, span.stop)
-        # A rest in which no reading changes may have been made from each taxel's lowest reading.
-        is_quiet[part] = span.gesture == NO_TOUCH and np.ptp(stream.counts[part], axis=0).any()
-        is_own[part] = not span.is_added
+def _rise(stream: Stream, restarts: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return (T, 8, 8) counts above the sixth of a second with the least pressure.
+
+    When the pad restarts, its rest may change.
+    """
     rise = stream.counts.astype(np.float64)
-    is_known = True
-    parts = (np.split(each, restarts) for each in (rise, is_quiet, is_own))
-    for part, quiet, own in zip(*parts, strict=True):
-        part -= np.median(part[quiet], axis=0) if quiet.any() else _lightest(part[own])
-        is_known &= bool(quiet.any())
-    return rise, is_known
-
-
-def _lightest(counts: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the mean of each taxel in the sixth of a second with the least pressure."""
-    frames = min(LIGHTEST_FRAMES, len(counts))
-    loads = np.convolve(counts.sum(axis=(1, 2)), np.ones(frames), "valid")
-    first = int(loads.argmin())
-    lightest: NDArray[np.float64] = counts[first : first + frames].mean(axis=0)
-    return lightest
+    is_sent = np.ones(len(rise), dtype=np.bool_)
+    for span in stream.spans:
+        # Added quiet in which no reading changes was made from each taxel's lowest reading.
+        counts = stream.counts[span.start : span.stop]
+        is_sent[span.start : span.stop] = not span.is_added or np.ptp(counts, axis=0).any()
+    for part, sent in zip(np.split(rise, restarts), np.split(is_sent, restarts), strict=True):
+        own = part[sent]
+        frames = min(LIGHTEST_FRAMES, len(own))
+        first = int(np.convolve(own.sum(axis=(1, 2)), np.ones(frames), "valid").argmin())
+        part -= own[first : first + frames].mean(axis=0)
+    return rise
 
 
 def draw_recording(traced: Trace, title: str) -> Figure:
     """Draw pressure over time, detected touches, answers, mean pads."""
     gestures = sorted({span.gesture for span in traced.stream.spans} - {NO_TOUCH})
-    rows = _rows(traced)
-    columns = min(MOST_COLUMNS, max(LEAST_COLUMNS, len(gestures)))
+    rows = traced.rows()
+    columns = min(MOST_PADS, max(LEAST_PADS, len(gestures)))
     pad_rows = math.ceil(len(gestures) / columns)
-    heights = [ROW_INCHES * len(rows), *([PADS_INCHES * pad_rows] if gestures else [])]
-    figure = new_figure(sum(heights) + TITLE_INCHES, title)
+    heights = [ROW * len(rows), *([PADS * pad_rows] if gestures else [])]
+    figure = new_figure(sum(heights) + TITLE, title)
     parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
     axes = parts[0].subplots(2 * len(rows), 1, squeeze=False, height_ratios=[1.0, 1.6] * len(rows))[:, 0]
     for row, (begin_s, end_s) in enumerate(rows):
         answers, pressure = axes[2 * row : 2 * row + 2]
-        _answers_over_time(answers, traced, gestures, begin_s, end_s)
+        _draw_answers(answers, traced, gestures, begin_s, end_s)
         _draw_pressure(pressure, traced, gestures, begin_s, end_s)
         for part in (answers, pressure):
             part.set_xlim(begin_s, end_s)
-    axes[0].set_title(LEGEND, fontsize=8, color=QUIET_INK, loc="right")
-    axes[-1].set_xlabel("seconds", fontsize=8, color=QUIET_INK)
+    axes[0].set_title(LEGEND, loc="right")
+    axes[-1].set_xlabel("seconds")
     if gestures:
         _draw_pads(parts[1], traced, gestures, pad_rows, columns)
     return figure
-
-
-def _rows(traced: Trace) -> list[tuple[float, float]]:
-    """Return start and end of each row in seconds; all are of one length."""
-    end_s = float(traced.time_s[_recorded(traced.stream)[1] - 1])
-    ends_s = np.linspace(0.0, end_s, max(1, math.ceil(end_s / ROW_S)) + 1)
-    return list(pairwise(ends_s.tolist()))
 
 
 def _draw_pressure(axes: Axes, traced: Trace, gestures: Sequence[str], begin_s: float, end_s: float) -> None:
@@ -303,19 +275,15 @@ def _draw_pressure(axes: Axes, traced: Trace, gestures: Sequence[str], begin_s: 
         axes.fill_between(traced.time_s[part], load[part], color=colour, alpha=0.45, linewidth=0)
         axes.plot(traced.time_s[part], load[part], color=colour, linewidth=0.9)
         if span.gesture != NO_TOUCH:
-            middle_s = traced.time_s[part].mean()
-            axes.text(middle_s, 1.04 * highest, span.gesture, color=colour, clip_on=True, **LABEL)
+            place = traced.time_s[part].mean(), 1.04 * highest
+            axes.text(*place, span.gesture, color=colour, clip_on=True, ha="center", fontweight="bold")
     axes.set_ylim(min(0.0, float(load[first : last + 1].min())), 1.25 * highest)
-    label = "counts above rest" if traced.is_rest_known else "above lightest moment"
-    axes.set_ylabel(label, fontsize=8, color=QUIET_INK)
-    bare(axes, "left", "bottom")
+    axes.set_ylabel("counts above lightest")
 
 
-def _answers_over_time(
-    axes: Axes, traced: Trace, gestures: Sequence[str], begin_s: float, end_s: float
-) -> None:
+def _draw_answers(axes: Axes, traced: Trace, gestures: Sequence[str], begin_s: float, end_s: float) -> None:
     """Draw each answer at its time, in the lane of its stage, but none after the end."""
-    last_s = np.nextafter(_rows(traced)[-1][1], 0.0)
+    last_s = np.nextafter(traced.rows()[-1][1], 0.0)
     for number, touch in enumerate(traced.touches):
         truth = traced.truth(number)
         for answer in touch.predictions:
@@ -323,7 +291,7 @@ def _answers_over_time(
             if begin_s <= at_s < end_s:
                 is_wrong = truth != UNLABELLED and answer.gesture not in (truth, UNCERTAIN)
                 lane = LANES.index(answer.stage) if answer.stage in LANES else len(LANES) - 1
-                draw_answer(axes, at_s, -lane, answer, gestures, wrong=is_wrong)
+                draw_answer(axes, (at_s, -lane), answer, colour_of(answer.gesture, gestures), wrong=is_wrong)
     axes.set_ylim(-len(LANES) + 0.4, 0.6)
     axes.set_yticks([-lane for lane in range(len(LANES))], LANES)
     axes.set_xticks([])
@@ -333,16 +301,12 @@ def _answers_over_time(
 def _draw_pads(figure: SubFigure, traced: Trace, gestures: Sequence[str], rows: int, columns: int) -> None:
     """Draw the mean pad of each gesture, each on its own scale so that light touches are visible."""
     all_axes = figure.subplots(rows, columns, squeeze=False).ravel()
-    for axes in all_axes[len(gestures) :]:
-        axes.set_visible(False)
+    for axes in all_axes:
+        axes.set_axis_off()
     for axes, gesture in zip(all_axes, gestures, strict=False):
         spans = [span for span in traced.stream.spans if span.gesture == gesture]
         mean = np.concatenate([traced.rise[span.start : span.stop] for span in spans]).mean(axis=0)
         highest = max(float(mean.max()), 1.0)
         axes.imshow(mean, cmap="inferno", vmin=0, vmax=highest)
-        colour = colour_of(gesture, gestures)
-        axes.set_title(gesture, fontsize=9, color=colour, fontweight="bold", **NO_FORMULA)
-        axes.set_xlabel(f"mean pad, 0 to {highest:.0f}", fontsize=8, color=QUIET_INK)
-        axes.set_xticks([])
-        axes.set_yticks([])
-        bare(axes)
+        title = f"{gesture}\nmean pad, 0 to {highest:.0f}"
+        axes.set_title(title, color=colour_of(gesture, gestures), fontweight="bold")

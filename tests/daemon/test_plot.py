@@ -111,7 +111,7 @@ def test_every_answer_stands_at_its_mark(demo: Trace) -> None:
     assert marks == expected
     written = words(figure)
     assert {"a title", "rub", "scratch", "early", "revised", "final"} <= set(written)
-    assert sum(text.startswith("mean pad, 0 to ") for text in written) == 2
+    assert sum("mean pad, 0 to " in text for text in written) == 2
 
 
 def test_a_name_like_a_formula_is_drawn_as_it_is(demo: Trace) -> None:
@@ -267,8 +267,6 @@ def test_an_impossible_picture_is_refused_in_one_line(
 def test_rest_of_the_same_person_is_used(demo: Trace) -> None:
     quiet, stroke = simulate([("notouch", 5.0), ("stroke", 5.0)], seed=4)
     beside = traced(with_quiet([stroke], [quiet]))
-    assert beside.is_rest_known
-    assert demo.is_rest_known
     assert beside.time_s[0] == pytest.approx(-4.0, abs=0.1)
 
 
@@ -276,12 +274,10 @@ def test_rest_of_the_same_person_is_used(demo: Trace) -> None:
 def test_recordings_without_rest_return_to_zero_between_strokes(count: int) -> None:
     strokes = [simulate([("notouch", 2.0), ("stroke", 5.0)], seed=4 + n)[1] for n in range(count)]
     beside = traced(with_quiet(strokes, []))
-    assert not beside.is_rest_known
     for span in (span for span in beside.stream.spans if not span.is_added):
         load = beside.rise.sum(axis=(1, 2))[span.start : span.stop]
         assert abs(np.quantile(load, 0.1)) < 15
     figure = draw_recording(beside, "a title")
-    assert "above lightest moment" in words(figure)
     drawn = [np.asarray(line.get_xdata()) for axes in figure.subfigs[0].axes for line in axes.lines]
     # Time begins with the recording. Nothing is drawn of the quiet that is played beside it.
     assert min(line[0] for line in drawn) == 0.0
