@@ -15,7 +15,6 @@ pytest.importorskip("torch", reason="needs the extra `train`")
 if find_spec("sklearn") is None:
     pytest.skip("needs the extra `studies`", allow_module_level=True)
 
-import torch
 
 from touchd.drivers.recording import Recording, ideal_clock_ms
 from touchd.model.adapt.optimise import one_torch_thread
@@ -37,92 +36,16 @@ CELLS = [key for key in RESULTS.find() if "/seed" in key]
 REFIT = ("balli-forest", "ta-forest", "ta-svm", "gaus-boosting", "hughes-autoencoder")
 TOLERANCE = 0.02
 """For a refit: another processor or scikit-learn rounds differently, and trees split on the last digit."""
-HZ = 54.0
 FEATURES = {ta.features: 273, balli.features: 81, gaus.features: 724}
 
 
-def pressed(series: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a pad (1, L, 8, 8) with equal pressure on every taxel."""
-    return np.broadcast_to(series[np.newaxis, :, np.newaxis, np.newaxis], (1, len(series), 8, 8))
-
-
-def sine(frames: int, hz: float) -> NDArray[np.float64]:
-    phase = 2.0 * np.pi * hz * np.arange(frames, dtype=np.float64) / HZ - 0.3
-    return np.asarray(100.0 + 50.0 * np.sin(phase))
-
-
 @pytest.mark.parametrize("frames", [54, 432])
-def test_three_taps_a_second_are_found(frames: int) -> None:
-    pressure = features.mean_pressure(pressed(sine(frames, 3.0)))
-    assert features.crossings(pressure) == pytest.approx([3.0], abs=0.13)
-    assert features.rhythm(pressure)[0, 0] == pytest.approx(3.0)
-    power = features.bands(pressure, np.array([0.0, 2.5, 3.5, 10.0]))[0]
-    assert power == pytest.approx([0.0, 50.0**2, 0.0], abs=1e-6)
-
-
-def test_a_finger_that_walks_diagonally_is_followed_taxel_by_taxel() -> None:
-    counts = np.zeros((1, 8, 8, 8))
-    for place in range(8):
-        counts[0, place, place, place] = 300.0
-    path = features.centroid(counts)
-    assert path[0] == pytest.approx(np.stack([np.arange(8.0), np.arange(8.0)], axis=1))
-    assert features.steps(path) == pytest.approx(np.full((1, 7), np.sqrt(2.0)))
-    assert features.centroid(np.zeros((1, 1, 8, 8)))[0, 0].tolist() == [3.5, 3.5]
-
-
-of_each_system = pytest.mark.parametrize(
-    "make", FEATURES, ids=lambda make: make.__module__.rpartition(".")[2]
-)
-
-
-@pytest.mark.parametrize("frames", [54, 144, 432])
-@pytest.mark.parametrize("level", [0, 7, 1023])
-@of_each_system
+@pytest.mark.parametrize("level", [0, 1023])
+@pytest.mark.parametrize("make", FEATURES, ids=lambda make: make.__module__.rpartition(".")[2])
 def test_a_pad_on_which_nothing_moves_has_all_its_features(make: Any, level: int, frames: int) -> None:
     made_features = make(np.full((2, frames, 8, 8), level, dtype=np.uint16))
     assert made_features.shape == (2, FEATURES[make])
     assert np.isfinite(made_features).all()
-
-
-@of_each_system
-def test_features_do_not_depend_on_other_windows(make: Any) -> None:
-    counts = np.random.default_rng(0).integers(500, size=(3, 54, 8, 8)).astype(np.uint16)
-    assert make(counts)[1] == pytest.approx(make(counts[1:2])[0])
-
-
-def test_each_candidate_feature_has_a_name_at_its_place() -> None:
-    values = balli.features(pressed(sine(432, 3.0)).astype(np.uint16))[0]
-    named = dict(zip(balli.NAMES, values, strict=True))
-    assert len(named) == FEATURES[balli.features]
-    assert named["image's row"] == named["mean of column"] == pytest.approx(3.5)
-    assert named["greatest of greatest count"] == 149.0
-    assert named["mean of touched area"] == 1.0
-    assert named["mobility of mean pressure"] == pytest.approx(2.0 * np.sin(np.pi * 3.0 / HZ), rel=0.05)
-
-
-def test_a_moving_taxel_shows_in_every_scale() -> None:
-    moving = np.zeros((1, 40, 8, 8), dtype=bool)
-    for start in (3, 13, 23):
-        moving[0, start : start + 2, 5, 6] = True
-    history = gaus.motion_history(moving)[0]
-    parts = np.split(history, [5 * 64, 5 * 64 + 5 * 16])
-    for histogram, side, row, column in zip(parts, (8, 4, 2), (5, 2, 1), (6, 3, 1), strict=True):
-        expected = np.zeros((5, side, side))
-        expected[1, row, column] = 3 / 40
-        assert histogram == pytest.approx(expected.ravel())
-
-
-KINDS = (hughes.CNN, hughes.CRNN, hughes.AUTOENCODER_RNN)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_one_network_answers_six_times_a_second_at_every_length(kind: str) -> None:
-    network = hughes.HughesNetwork(kind, 7).eval()
-    for frames in table.LENGTHS:
-        counts = torch.randint(500, (2, frames, 8, 8)).float()
-        steps = frames // 9 - (4 if kind == hughes.CNN else 0)
-        assert network(counts).shape == (2, steps, 7)
-        assert network.answer(counts).shape == (2, 7)
 
 
 def made(participants: Sequence[str]) -> list[Recording]:
@@ -130,7 +53,7 @@ def made(participants: Sequence[str]) -> list[Recording]:
     rng = np.random.default_rng(len(participants))
     recordings = []
     for participant in participants:
-        tapped = np.where(sine(432, 3.0) > 120.0, 200, 5)[:, np.newaxis, np.newaxis]
+        tapped = np.where(np.arange(432) % 18 < 6, 200, 5)[:, np.newaxis, np.newaxis]
         for gesture, level in (("notouch", 3), ("pat", tapped), ("rub", 150)):
             counts = rng.poisson(np.broadcast_to(level, (432, 8, 8))).astype(np.uint16)
             clock = ideal_clock_ms(432)

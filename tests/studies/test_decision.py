@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -66,14 +67,10 @@ def other_gesture(streams: Streams, frames: slice) -> Streams:
     return replace(streams, probabilities=predicted)
 
 
-def test_at_its_mark_a_sure_answer_is_told_once(late: Streams) -> None:
-    for told in tell(late, DecisionSettings()):
-        assert told.answers == (("early", 1.0, True),)
-
-
-def test_a_sure_answer_is_told_before_its_mark(late: Streams) -> None:
-    told = tell(late, DecisionSettings(early="when_sure"))
-    assert np.mean([t.answers[0][1] for t in told]) == pytest.approx(30 / 54)
+@pytest.mark.parametrize(("early", "after_s"), [("at_mark", 1.0), ("when_sure", 30 / 54)])
+def test_a_sure_answer_is_told_once(late: Streams, early: Any, after_s: float) -> None:
+    told = tell(late, DecisionSettings(early=early))
+    assert np.mean([t.answers[0][1] for t in told]) == pytest.approx(after_s)
     assert all(t.right == [True] for t in told)
 
 
@@ -96,17 +93,10 @@ def test_windows_are_answered_at_the_first_sure_frame(late: Streams) -> None:
 def test_early_answers_become_the_default_only_where_right_and_early() -> None:
     right = figures_of(streams_sure_from([10 + row % 5 for row in range(40)], 0.95))
     wrong = figures_of(other_gesture(streams_sure_from([9] * 8, 0.95), slice(50)))
-    good = Measured(studies={HAART: right}, never_met=(), challenge=(), fixed={})
-    assert best_choice(good) == "when_sure"
     slow = figures_of(streams_sure_from([60] * 8, 0.95))
-    assert (
-        best_choice(Measured(studies={HAART: right, "slow": slow}, never_met=(), challenge=(), fixed={}))
-        == "at_mark"
-    )
-    assert (
-        best_choice(Measured(studies={HAART: right, "other": wrong}, never_met=(), challenge=(), fixed={}))
-        == "at_mark"
-    )
+    for others, choice in (({}, "when_sure"), ({"slow": slow}, "at_mark"), ({"other": wrong}, "at_mark")):
+        studies = {HAART: right, **others}
+        assert best_choice(Measured(studies=studies, never_met=(), challenge=(), fixed={})) == choice
 
 
 def test_a_real_network_follows_each_touch_frame_by_frame(classifier: Classifier) -> None:

@@ -260,9 +260,7 @@ def test_each_take_is_trained_on_without_its_edges() -> None:
     takes = second_study.takes([whole_takes(1), whole_takes(2)])
     assert [len(take.counts) for take in takes] == [486] * 3
     assert [int(take.counts[0, 0, 0]) for take in takes] == [27, 27, 567]
-
-
-def test_a_take_may_lack_its_last_frame() -> None:
+    # A take may lack its last frame.
     whole = whole_takes(1)
     (take,) = second_study.takes([replace(whole, counts=whole.counts[:539], sensor_ms=whole.sensor_ms[:539])])
     assert len(take.counts) == 486

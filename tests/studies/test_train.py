@@ -17,7 +17,6 @@ import torch
 from torch import nn
 
 from touchd.drivers.recording import Recording, ideal_clock_ms
-from touchd.model.adapt.optimise import learning_rate_at
 from touchd.model.adapt.output import code_version, data_hash
 from touchd.model.classifier import SHIPPED_MODEL
 from touchd.model.settings import NetworkSettings
@@ -142,30 +141,6 @@ def test_studies_are_drawn_by_their_shares(third: float, expected: float) -> Non
     chosen = torch.searchsorted(drawn, torch.rand(4000), right=True).tolist()
     share = sum(data[i].participant[0] == "S" for i in chosen) / 4000
     assert share == pytest.approx(expected, abs=0.05)
-
-
-@pytest.mark.parametrize(
-    ("instruction", "dtype"),
-    [("avx512_bf16", torch.bfloat16), ("amx_bf16", torch.bfloat16), ("avx2", torch.float32)],
-)
-def test_bfloat16_is_used_only_where_the_processor_has_it(
-    instruction: str, dtype: torch.dtype, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("torch.cpu.get_capabilities", lambda: {instruction: True}, raising=False)
-    training = Training(recordings(), [another(bfloat16=True)], "cpu")
-    seen: set[torch.dtype] = set()
-    ask = training._ask
-
-    def watched(
-        weights: dict[str, torch.Tensor], windows: torch.Tensor, lengths: torch.Tensor
-    ) -> torch.Tensor:
-        logits: torch.Tensor = ask(weights, windows, lengths)
-        seen.add(logits.dtype)
-        return logits
-
-    training._ask = watched
-    training.run(1)
-    assert seen == {dtype}
 
 
 @pytest.mark.parametrize("steps_before", [1, pytest.param(5, marks=pytest.mark.slow)])
@@ -310,14 +285,6 @@ def test_a_damaged_checkpoint_is_refused_in_one_line(tmp_path: Path, content: by
         checkpoint.load(path)
     assert str(raised.value).startswith(f"{path}: not a checkpoint of touchd")
     assert "\n" not in str(raised.value)
-
-
-def test_the_learning_rate_warms_up_and_decays() -> None:
-    rates = [learning_rate_at(step, 100, 1.0) for step in range(100)]
-    assert rates[:10] == sorted(rates[:10])
-    assert max(rates) == rates[9] == rates[10] == 1.0
-    assert rates[10:] == sorted(rates[10:], reverse=True)
-    assert rates[-1] < 0.001
 
 
 def test_a_checkpoint_that_holds_a_program_is_refused(tmp_path: Path) -> None:
