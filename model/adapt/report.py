@@ -48,20 +48,35 @@ def report_lines(adapted: Adapted, names: Mapping[str, str] = NO_NAMES) -> Itera
         yield from _table(comparison.lengths[-1], names)
         yield from map(_gain, comparison.lengths)
     yield ""
-    for warning in [*_doubts(comparison), *_lacks(adapted, names)]:
-        yield from textwrap.wrap(f"! {warning}", WIDTH, subsequent_indent="  ")
+    for warning in [_doubt(comparison), *_lacks(adapted, names)]:
+        yield from textwrap.wrap(f"! {warning}", WIDTH, subsequent_indent="  ") if warning else ()
 
 
 def is_better(comparison: Comparison) -> bool:
     """Return whether the adapted model is known to be right more often than the shipped one."""
-    interval = comparison.lengths[-1].interval if comparison.lengths else None
-    are_few = comparison.left_out == "participants" and comparison.participants < FEW_PARTICIPANTS
-    return interval is not None and interval[0] > 0.0 and not are_few
+    return not _doubt(comparison)
+
+
+def _doubt(comparison: Comparison) -> str:
+    """Return why adapting cannot be said to have helped; "" if it can."""
+    if not comparison.lengths:
+        return (
+            "Too few recordings to leave any out: whether this is better than the shipped model cannot be "
+            "told."
+        )
+    interval = comparison.lengths[-1].interval
+    if comparison.left_out == "participants" and comparison.participants < FEW_PARTICIPANTS:
+        return f"Fewer than {FEW_PARTICIPANTS} participants: too few to tell whether others gain."
+    if interval is None or interval[0] <= 0.0 <= interval[1]:
+        return "Too little to tell whether this is better or worse: chance alone makes such a difference."
+    return "This is worse than the shipped model: keep that, or record more." if interval[1] < 0.0 else ""
 
 
 def _lacks(adapted: Adapted, names: Mapping[str, str]) -> Iterable[str]:
     """Yield what the recordings do not show of a gesture."""
     gestures = Counter(recording.gesture for recording in adapted.recordings)
+    if adapted.comparison.left_out == "recordings":
+        yield "One participant: no figure for other people, for whom the model may have become worse."
     people = {(recording.gesture, recording.participant) for recording in adapted.recordings}
     alone = sorted(gesture for gesture, who in Counter(gesture for gesture, _ in people).items() if who == 1)
     if adapted.comparison.left_out == "participants" and alone:
@@ -71,26 +86,6 @@ def _lacks(adapted: Adapted, names: Mapping[str, str]) -> Iterable[str]:
     # Nobody need record what is none of the gestures.
     if lacking := [label for label in adapted.labels if label not in gestures and label != OTHER]:
         yield f"No recording of {_listed(lacking, names)}: known from other people and pads only."
-
-
-def _doubts(comparison: Comparison) -> Iterable[str]:
-    """Yield whether adapting can be said to have helped."""
-    if comparison.left_out == "nothing":
-        yield (
-            "Too few recordings to leave any out: whether this is better than the shipped model cannot be "
-            "told."
-        )
-    elif comparison.left_out == "recordings":
-        yield "One participant: no figure for other people, for whom the model may have become worse."
-    if not comparison.lengths or comparison.lengths[-1].before is None:
-        return
-    interval = comparison.lengths[-1].interval
-    if comparison.left_out == "participants" and comparison.participants < FEW_PARTICIPANTS:
-        yield f"Fewer than {FEW_PARTICIPANTS} participants: too few to tell whether others gain."
-    elif interval is None or interval[0] <= 0.0 <= interval[1]:
-        yield "Too little to tell whether this is better or worse: chance alone makes such a difference."
-    elif interval[1] < 0.0:
-        yield "This is worse than the shipped model: keep that, or record more."
 
 
 def _table(figures: LengthFigures, names: Mapping[str, str]) -> Iterable[str]:
