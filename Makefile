@@ -55,7 +55,7 @@ help:
 	@echo "make test-slow     run the tests that take minutes"
 	@echo "make test-systemd  install the service in a Debian container and try it there (root, systemd-container)"
 	@echo "make check         ruff and mypy"
-	@echo "make bench         latency, processor, memory, start-up and speed of the real daemon"
+	@echo "make bench         latency, processor, memory and start-up of the real daemon"
 	@echo "make soak          24 hours of sensor time flat out: nothing grows, nothing is lost (half an hour)"
 	@echo "make expectations  rebuild the expected events beside the recordings in tests/recordings (ADD=FILE adds one)"
 	@echo "make mutants       put small faults into FILES, one at a time, and list those that TESTS let through"

@@ -12,19 +12,15 @@ from contextlib import ExitStack
 from itertools import cycle, islice
 from pathlib import Path
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
 from touchd.daemon.app.config import SensorSettings, Settings
 from touchd.daemon.commands.run import favour_latency
-from touchd.daemon.commands.settings import load_model
 from touchd.daemon.path.events import Event, Prediction, epoch_s
-from touchd.daemon.path.pipeline import Pipeline
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
-from touchd.daemon.playback.stream import DEMO_RECORDING, play
-from touchd.daemon.sinks.touches import decode
+from touchd.daemon.playback.stream import DEMO_RECORDING
 from touchd.drivers.errors import within
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import FRAME_RATE_HZ
@@ -34,17 +30,6 @@ QUIET_S = 20.0
 START_S = 30.0
 # Events carry whole milliseconds, enough to find their frame: frames are 18 ms apart.
 STAMP_S = 0.002
-
-
-class Usage(msgspec.Struct, frozen=True, kw_only=True):
-    """What the daemon took. cpu: share of one core. memory: peak resident set."""
-
-    start_to_ready_s: float
-    cpu_idle_percent: float
-    cpu_touching_percent: float
-    memory_mb: float
-
-
 # An event read from the daemon, and when, by `time.monotonic` and by `time.time`.
 Received = tuple[Event, float, float]
 
@@ -76,26 +61,14 @@ def measure(touch_s: float) -> dict[str, float]:
     """Run the daemon on a pad that rests for 20 s and is then touched for `touch_s`; return the figures.
 
     A name ends in its unit. latency: from writing the last byte of the frame that completes an answer's
-    window to reading the answer's line from the daemon's output. inner: the part that the daemon measures.
+    window to reading the answer's line from the daemon's output. cpu: share of one core. memory: peak
+    resident set.
     """
-    stream = touched(touch_s)
+    received: list[Received] = []
     # As in the daemon: the pad's thread must not delay the one that reads the answers.
     favour_latency()
-    with FakePort(stream, encoder_for(SensorSettings())) as port:
-        usage, received = _observed(port, touch_s)
-    inner_ms = [event.latency_ms for event, *_ in received if isinstance(event, Prediction)]
-    figures = {"answers": float(len(inner_ms))}
-    for name, times_ms in (("latency", _latencies_ms(port.sent_s, received)), ("inner", inner_ms)):
-        for percent in (50, 99):
-            figures[f"{name}_p{percent}_ms"] = float(np.percentile(times_ms, percent))
-    speed = {"classify_times_real_time": _times_real_time(stream)}
-    return figures | msgspec.structs.asdict(usage) | speed
-
-
-def _observed(port: FakePort, touch_s: float) -> tuple[Usage, list[Received]]:
-    """Run the daemon while the port plays; return what it took, and its events."""
-    received: list[Received] = []
     with ExitStack() as closing:
+        port = closing.enter_context(FakePort(touched(touch_s), encoder_for(SensorSettings())))
         folder = Path(closing.enter_context(tempfile.TemporaryDirectory(prefix="touchd-bench-")))
         log = closing.enter_context((folder / "log").open("wb"))
         ready = closing.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
@@ -109,20 +82,17 @@ def _observed(port: FakePort, touch_s: float) -> tuple[Usage, list[Received]]:
         reader.start()
         while b"READY=1" not in ready.recv(4096):
             pass
-        start_to_ready_s, pid = time.monotonic() - started_s, daemon.process.pid
-        idle_percent = _cpu_percent(pid, QUIET_S - 2.0)
+        figures = {"start_to_ready_s": time.monotonic() - started_s}
+        figures["cpu_idle_percent"] = _cpu_percent(daemon.process.pid, QUIET_S - 2.0)
         time.sleep(2.0)
-        touching_percent = _cpu_percent(pid, touch_s)
+        figures["cpu_touching_percent"] = _cpu_percent(daemon.process.pid, touch_s)
         port.wait(START_S)
-        usage = Usage(
-            start_to_ready_s=start_to_ready_s,
-            cpu_idle_percent=idle_percent,
-            cpu_touching_percent=touching_percent,
-            memory_mb=_peak_memory_mb(pid),
-        )
+        figures["memory_mb"] = _peak_memory_mb(daemon.process.pid)
         daemon.stop()
         reader.join()
-    return usage, received
+        latencies_ms = _latencies_ms(port.sent_s, received)
+    percents = {f"latency_p{each}_ms": float(np.percentile(latencies_ms, each)) for each in (50, 99)}
+    return {"answers": float(len(latencies_ms))} | percents | figures
 
 
 def touched(touch_s: float) -> Stream:
@@ -136,10 +106,7 @@ def touched(touch_s: float) -> Stream:
 
 
 def _receive(daemon: SpawnedDaemon, received: list[Received]) -> None:
-    assert daemon.process.stdout is not None
-    for line in daemon.process.stdout:
-        read_s = time.monotonic(), time.time()
-        received.append((decode(line), *read_s))
+    received.extend((event, time.monotonic(), time.time()) for event in daemon.events())
 
 
 def _latencies_ms(sent_s: NDArray[np.float64], received: Sequence[Received]) -> list[float]:
@@ -171,16 +138,5 @@ def _cpu_s(pid: int) -> float:
 
 
 def _peak_memory_mb(pid: int) -> float:
-    for line in Path(f"/proc/{pid}/status").read_text().splitlines():
-        if line.startswith("VmHWM:"):
-            return int(line.split()[1]) * 1024 / 1e6
-    raise RuntimeError("the kernel does not tell how much memory the daemon took")
-
-
-def _times_real_time(stream: Stream) -> float:
-    """Send the stream through the pipeline at full speed; return how many times faster that is."""
-    settings = Settings()
-    classifier = load_model(settings)
-    began_s = time.perf_counter()
-    play(stream, lambda clock: Pipeline(settings.pipeline, classifier, lambda _: None, clock))
-    return len(stream.counts) / FRAME_RATE_HZ / (time.perf_counter() - began_s)
+    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
+    return next(int(line.split()[1]) * 1024 / 1e6 for line in lines if line.startswith("VmHWM:"))
