@@ -32,25 +32,21 @@ log = logging.getLogger(__name__)
 
 
 class Signals:
-    """Records signals in plain attributes, because a handler that takes a lock can deadlock with itself.
+    """Records SIGINT and SIGTERM in a plain attribute: a handler that takes a lock can deadlock with itself.
 
-    SIGINT and SIGTERM end the daemon. So does SIGHUP when the terminal has closed; otherwise it is ignored,
-    with one line in the log.
+    SIGHUP ends the daemon too when its terminal has closed; otherwise it is ignored.
     """
 
-    def __init__(self, *, has_terminal: bool) -> None:
-        self._has_terminal = has_terminal
-        self._is_hung_up = False
-        self._has_said_so = False
+    def __init__(self) -> None:
         self._must_stop = False
 
-    def listen(self) -> None:
+    def listen(self, *, has_terminal: bool) -> None:
         """Install the handlers."""
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self.stop)
         # Under nohup it is ignored already.
         if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
-            signal.signal(signal.SIGHUP, self.stop if self._has_terminal else self._hang_up)
+            signal.signal(signal.SIGHUP, self.stop if has_terminal else signal.SIG_IGN)
 
     def ignore(self) -> None:
         """Ignore further signals: the daemon has ended, and the interpreter is about to."""
@@ -61,14 +57,8 @@ class Signals:
         self._must_stop = True
 
     def must_stop(self) -> bool:
-        """Return whether the daemon must end; call it from the loop."""
-        if self._is_hung_up and not self._has_said_so:
-            self._has_said_so = True
-            log.warning("SIGHUP is ignored; to apply new settings, restart: sudo systemctl restart touchd")
+        """Return whether the daemon must end."""
         return self._must_stop
-
-    def _hang_up(self, *_: object) -> None:
-        self._is_hung_up = True
 
 
 def parser() -> argparse.ArgumentParser:
@@ -112,23 +102,25 @@ def main(arguments: Sequence[str]) -> int:
     with config_errors():
         found = _find(options)
     settings = found.settings
-    signals = Signals(has_terminal=any(os.isatty(fd) for fd in (0, 1, 2)))
+    signals = Signals()
     with ExitStack() as closing:
-        signals.listen()
+        signals.listen(has_terminal=any(map(os.isatty, (0, 1, 2))))
         closing.callback(signals.ignore)
         service = Service(settings)
         service.events.tags = tags
         ports = [pad.sensor.port for pad in settings.pads.values()]
         closing.enter_context(serving_tags(service.events, found.file, ports))
-        page, code = _live_page(settings) if settings.live else ("", "")
+        live = settings.live
+        page = urls_of(live, live.port)[0] if live and live.port else ""
         if options.view:
             handler = _show_in_terminal(service, settings, page, closing)
         else:
             handler = _log_to_stderr(closing)
             form = _in_words(settings) if in_words else encode
             service.tell(LinesSink("stdout", sys.stdout.fileno(), form, signals.stop))
-            if in_words:
-                sys.stderr.write(code)
+            if in_words and page and live and live.host in EVERY_ADDRESS:
+                # Phones reach it.
+                sys.stderr.write(qr_code(page))
         root = logging.getLogger()
         root.addHandler(handler)
         closing.callback(root.removeHandler, handler)
@@ -182,14 +174,6 @@ def _find(options: argparse.Namespace) -> Found:
         live = parse_address(options.live, settings.live)
         settings = msgspec.structs.replace(settings, live=live)
     return found._replace(settings=settings)
-
-
-def _live_page(settings: Settings) -> tuple[str, str]:
-    """Return the live page's address, and its QR code if other computers and phones reach it."""
-    if not settings.live or not settings.live.port:
-        return "", ""
-    page = urls_of(settings.live, settings.live.port)[0]
-    return page, qr_code(page) if settings.live.host in EVERY_ADDRESS else ""
 
 
 def _in_words(settings: Settings) -> Callable[[Event], bytes]:

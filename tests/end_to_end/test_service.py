@@ -274,9 +274,7 @@ def test_no_burst_of_signals_hangs_or_fails_the_daemon(tmp_path: Path, pad: Fake
             assert daemon.process.wait(WITHIN_S) == 0
         finally:
             daemon.stop()
-    log_text = (tmp_path / "log").read_text()
-    assert log_text.count("SIGHUP is ignored") == 1, log_text
-    assert "Traceback" not in log_text
+    assert "Traceback" not in (tmp_path / "log").read_text()
 
 
 def test_under_nohup_a_closed_terminal_does_not_end_it(pad: FakePort) -> None:
