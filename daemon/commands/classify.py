@@ -33,7 +33,7 @@ def main(arguments: Sequence[str]) -> int:
     in_words = sys.stdout.isatty() and not options.json
     stream = chosen_stream(options)
     words = words_of(settings)
-    tally = Tally(stream, words)
+    tally = Tally(stream)
 
     def emit(event: Event) -> None:
         tally.put(event)
@@ -44,18 +44,16 @@ def main(arguments: Sequence[str]) -> int:
     play(stream, lambda clock: Pipeline(settings.pipeline, model, emit, clock), tally.at)
     sys.stdout.flush()
     # JSON lines go to the pipe, the table to standard error, where people see it.
-    (sys.stdout if in_words else sys.stderr).write(tally.summary())
+    (sys.stdout if in_words else sys.stderr).write(tally.summary(words))
     return 0
 
 
 class Tally:
     """Counts touches by recorded and by settled gesture."""
 
-    def __init__(self, stream: Stream, words: Vocabulary) -> None:
+    def __init__(self, stream: Stream) -> None:
         self._spans = stream.spans
-        self._words = words
-        self._frame = 0
-        self._recorded = ""
+        self._frame = self._place = 0
         self._detected: set[int] = set()
         self._touches: Counter[tuple[str, str]] = Counter()
 
@@ -66,27 +64,24 @@ class Tally:
     def put(self, event: Event) -> None:
         """Count a touch."""
         if isinstance(event, TouchBegan):
-            place = next(i for i, span in enumerate(self._spans) if self._frame < span.stop)
-            self._detected.add(place)
-            self._recorded = self._spans[place].gesture
+            self._place = next(i for i, span in enumerate(self._spans) if self._frame < span.stop)
+            self._detected.add(self._place)
         elif isinstance(event, TouchEnded):
-            self._touches[self._recorded, event.gesture] += 1
+            self._touches[self._spans[self._place].gesture, event.gesture] += 1
 
-    def summary(self) -> str:
+    def summary(self, words: Vocabulary) -> str:
         """Return a line for each recorded gesture, and how many touches were right."""
-        name = {gesture: name_of(self._words, gesture) for pair in self._touches for gesture in pair}
-        head = "recorded"
-        width = max([len(head), *map(len, name.values())])
-        lines = ["", f"{head:<{width}}  answered"]
-        for recorded in sorted({pair[0] for pair in self._touches}):
+        rows = [("recorded", "answered")]
+        for recorded in sorted({was for was, _ in self._touches}):
             answers = Counter({answer: n for (was, answer), n in self._touches.items() if was == recorded})
-            told = ", ".join(f"{name[answer]} {n}" for answer, n in answers.most_common())
-            lines.append(f"{name[recorded]:<{width}}  {told}")
-        touched = [place for place, span in enumerate(self._spans) if span.gesture != NO_TOUCH]
+            told = ", ".join(f"{name_of(words, answer)} {n}" for answer, n in answers.most_common())
+            rows.append((name_of(words, recorded), told))
+        width = max(len(name) for name, _ in rows)
+        lines = ["", *(f"{name:<{width}}  {told}" for name, told in rows)]
         right = sum(n for (recorded, answer), n in self._touches.items() if recorded == answer)
-        touches = sum(self._touches.values())
-        share = f" ({right / touches:.0%})" if touches else ""
-        lines.append(f"{right} of {touches} touches right{share}")
-        if missed := len(set(touched) - self._detected):
+        touches = self._touches.total()
+        lines.append(f"{right} of {touches} touches right{f' ({right / touches:.0%})' if touches else ''}")
+        touched = {place for place, span in enumerate(self._spans) if span.gesture != NO_TOUCH}
+        if missed := len(touched - self._detected):
             lines.append(f"no touch was detected in {missed} of {len(touched)} recordings of touches")
         return "\n".join([*lines, ""])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import statistics
 import sys
 import tempfile
 import threading
@@ -19,8 +18,9 @@ from numpy.random import RandomState
 from rich.console import Console
 
 from touchd.daemon.app.config import LiveSettings, SceneSettings, Settings
-from touchd.daemon.live.address import EVERY_ADDRESS, listen, parse_address, qr_code, urls_of
-from touchd.daemon.path.events import UNCERTAIN, Event, Prediction, TouchEnded
+from touchd.daemon.commands.fake_pad import add_live, serve_page
+from touchd.daemon.live.address import EVERY_ADDRESS, parse_address, qr_code
+from touchd.daemon.path.events import UNCERTAIN, Event, TouchEnded
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
 from touchd.daemon.playback.stream import DEMO_RECORDING
 from touchd.daemon.robot.actions import Action, ActionRule
@@ -31,7 +31,7 @@ from touchd.drivers.fakes.fake_port import FakePort, LivePort
 from touchd.drivers.fakes.hand import PLAYED, PlayedHand, SimulatedPad
 from touchd.drivers.fakes.loopback_robot import LoopbackRobot
 from touchd.drivers.fakes.services import Call
-from touchd.drivers.frame import FRAME_RATE_HZ, OTHER, Counts
+from touchd.drivers.frame import NO_TOUCH, OTHER, Counts
 from touchd.drivers.installed import program_name
 from touchd.drivers.recording import Stream, read_recordings, splice
 from touchd.drivers.robot.session import RobotSettings
@@ -46,7 +46,7 @@ SPEECH_S = 0.8
 # From touch to touch of the hand on the page.
 EVERY_S = 5.6
 PACE = 1.0
-# Most answers kept for the summary at the end.
+# Most touches kept for the summary at the end.
 KEPT = 1000
 
 # The robot says what it detects, and corrects itself.
@@ -68,7 +68,7 @@ class PlainLines:
     """Output without a terminal: one line for each event."""
 
     def __init__(self, settings: Settings) -> None:
-        self._settings = settings
+        self._words = words_of(settings)
 
     def show_frame(self, pressure: Counts, sensor_ms: int) -> None:
         """Do nothing: lines cannot show a moving pad."""
@@ -76,25 +76,24 @@ class PlainLines:
     def note(self, text: str) -> None:
         """Write a line, from any thread; a closed output is ignored here and detected by `put`."""
         with suppress(BrokenPipeError):
-            self._write(text)
+            sys.stdout.write(f"{text}\n")
+            sys.stdout.flush()
 
     # Shows what the hand does next.
     doing = note
 
     def put(self, event: Event) -> None:
         """Write an event in words; raises BrokenPipeError when the reader has gone."""
-        self._write(describe(event, words_of(self._settings)))
-
-    def _write(self, text: str) -> None:
-        sys.stdout.write(f"{text}\n")
+        sys.stdout.write(f"{describe(event, self._words)}\n")
         sys.stdout.flush()
+
+
+Show: typing.TypeAlias = View | PlainLines
 
 
 def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="touchd demo", description="Needs no pad, no robot and no network.")
-    parser.add_argument(
-        "--live", nargs="?", const="", metavar="[HOST:]PORT", help="also serve a page to touch, until Ctrl-C"
-    )
+    add_live(parser)
     return parser
 
 
@@ -103,51 +102,31 @@ def main(arguments: Sequence[str]) -> int:
     options = parser().parse_args(arguments)
     settings = Settings(scene=SceneSettings(actions=ACTIONS))
     if options.live is not None:
-        return _be_touched(options.live, settings)
+        return _be_touched(parse_address(options.live, None), settings)
     stream = splice(read_recordings(DEMO_RECORDING))
     with ExitStack() as closing:
-        show = _show(closing, settings, ())
-        encode = _showing(stream, encoder_for(settings.sensor), show, settings)
-        port = closing.enter_context(FakePort(stream, encode, speed=PACE))
-        predictions, told = _run(port, show, closing, settings)
-    did = [span.gesture for span in stream.spans if span.gesture != "notouch"]
-    latencies = [prediction.latency_ms for prediction in predictions]
-    lines = [
-        "",
-        f"The simulated hand did:  {_names(did, settings)}",
-        f"The robot was told:      {_names(told, settings)}",
-        f"{len(latencies)} answers, half of them within {statistics.median(latencies):.1f} ms of a frame.",
-        NEXT.format(touchd=program_name()),
-    ]
-    sys.stdout.write("\n".join(lines))
+        show = _show(closing, settings)
+        port = closing.enter_context(FakePort(stream, _showing(stream, show, settings), speed=PACE))
+        told = _run(port, show, closing, settings)
+    did = [span.gesture for span in stream.spans if span.gesture != NO_TOUCH]
+    summary = f"\nThe simulated hand did:  {_names(did, settings)}\nThe robot was told:      "
+    sys.stdout.write(f"{summary}{_names(told, settings)}\n{NEXT.format(touchd=program_name())}")
     return 0
 
 
-def _be_touched(address: str, settings: Settings) -> int:
+def _be_touched(live: LiveSettings, settings: Settings) -> int:
     """Run until Ctrl-C with a page on which viewers touch the simulated pad; returns 0."""
-    # Imported only with --live, since these modules need its library.
-    from touchd.daemon.live.memory import Scene
-    from touchd.daemon.live.touch import TouchPage
-
-    live = parse_address(address, None)
     with_robot = msgspec.structs.replace(settings, robot=RobotSettings(url="tcp://localhost:9559"))
     rng = RandomState()
     with ExitStack() as closing:
-        listening = closing.enter_context(listen(live))
-        urls = urls_of(live, listening.getsockname()[1])
-        page = TouchPage(listening, live, Scene(with_robot, Classifier.load()))
-        closing.callback(page.stop)
-        page.start()
+        page, urls = serve_page(closing, live, with_robot, Classifier.load())
         show = _show(closing, settings, urls, live.host in EVERY_ADDRESS)
-
-        def begins(gesture: str) -> None:
-            show.doing(f"the simulated hand: {name_of(words_of(settings), gesture)}")
 
         def show_frame(pressure: Counts, sensor_ms: int) -> None:
             show.show_frame(pressure, sensor_ms)
             page.show_frame(pressure, sensor_ms)
 
-        hand = PlayedHand(tuple(PLAYED), EVERY_S, rng, begins)
+        hand = PlayedHand(tuple(PLAYED), EVERY_S, rng, partial(_begins, show, settings))
         pad = SimulatedPad(rng, hand, page.touching, show_frame)
         port = closing.enter_context(LivePort(pad.scan, encoder_for(settings.sensor)))
         show.note(f"live page: {' '.join(urls)}   Ctrl-C ends")
@@ -162,8 +141,8 @@ def _names(gestures: Iterable[str], settings: Settings) -> str:
 
 
 def _show(
-    closing: ExitStack, settings: Settings, urls: Sequence[str], is_for_phones: bool = False
-) -> View | PlainLines:
+    closing: ExitStack, settings: Settings, urls: Sequence[str] = (), is_for_phones: bool = False
+) -> Show:
     """Return the view on a terminal that can draw it, else plain lines.
 
     urls: of the live page. is_for_phones: show the first one as a QR code too.
@@ -171,54 +150,44 @@ def _show(
     console = Console()
     if not console.is_terminal or console.is_dumb_terminal:
         return PlainLines(settings)
-    view = View(
-        " ".join(urls) or "the daemon at work",
-        words_of(settings),
-        settings.scene.answer_at_frames,
-        console,
-        qr_code(urls[0]) if is_for_phones else "",
-    )
+    title, code = " ".join(urls) or "the daemon at work", qr_code(urls[0]) if is_for_phones else ""
+    view = View(title, words_of(settings), settings.scene.answer_at_frames, console, code)
     return closing.enter_context(view)
 
 
 def _run(
     port: FakePort | LivePort,
-    show: View | PlainLines,
+    show: Show,
     closing: ExitStack,
     settings: Settings,
     page: TouchPage | None = None,
-) -> tuple[Sequence[Prediction], Sequence[str]]:
-    """Run the daemon on a fake port and show its events; return all answers, and the last one of each touch.
+) -> Sequence[str]:
+    """Run the daemon on a fake port and show its events; return the last answer to each touch.
 
     Ends when the stream of a FakePort ends. page: shows the events too.
     """
     folder = Path(closing.enter_context(tempfile.TemporaryDirectory(prefix="touchd-demo-")))
     log = closing.enter_context((folder / "log").open("w+b"))
+    robot = closing.enter_context(LoopbackRobot(partial(_show_call, show), [f"--say-s={SPEECH_S}"]))
     sensor = msgspec.structs.replace(settings.sensor, port=port.path)
-    settings = msgspec.structs.replace(settings, sensor=sensor)
-    show_call = partial(_show_call, show)
-    robot = closing.enter_context(LoopbackRobot(show_call, [f"--say-s={SPEECH_S}"]))
-    settings = msgspec.structs.replace(settings, robot=RobotSettings(url=robot.url))
+    settings = msgspec.structs.replace(settings, sensor=sensor, robot=RobotSettings(url=robot.url))
     daemon = SpawnedDaemon(settings, folder, log)
     closing.callback(daemon.stop)
     if page is not None:
         page.follow(folder / "log")
     if isinstance(port, FakePort):
         threading.Thread(target=_end, args=(port, daemon), name="touchd-demo-end", daemon=True).start()
-    predictions: deque[Prediction] = deque(maxlen=KEPT)
     told: deque[str] = deque(maxlen=KEPT)
     for event in daemon.events():
         if page is not None:
             page.put(event)
         show.put(event)
-        if isinstance(event, Prediction):
-            predictions.append(event)
-        elif isinstance(event, TouchEnded):
+        if isinstance(event, TouchEnded):
             told.append(event.gesture)
-    if daemon.stop() != 0 or not predictions:
+    if daemon.stop() != 0 or not told:
         log.seek(0)
         raise RuntimeError(f"the daemon ended early: {log.read().decode(errors='replace').strip()}")
-    return predictions, told
+    return told
 
 
 def _end(port: FakePort, daemon: SpawnedDaemon) -> None:
@@ -226,26 +195,26 @@ def _end(port: FakePort, daemon: SpawnedDaemon) -> None:
     daemon.process.terminate()
 
 
-def _showing(
-    stream: Stream, encode: Callable[[Counts, int], bytes], show: View | PlainLines, settings: Settings
-) -> Callable[[Counts, int], bytes]:
-    """Wrap `encode`: also show the frames sent, and name each gesture of the hand as it begins."""
-    first_ms, last_ms = int(stream.sensor_ms[0]), int(stream.sensor_ms[-1])
-    # The clock continues when the stream is repeated.
-    length_ms = last_ms - first_ms + round(1000 / FRAME_RATE_HZ)
-    begins = {int(stream.sensor_ms[span.start]) - first_ms: span.gesture for span in stream.spans}
+def _begins(show: Show, settings: Settings, gesture: str) -> None:
+    show.doing(f"the simulated hand: {_names([gesture], settings)}")
+
+
+def _showing(stream: Stream, show: Show, settings: Settings) -> Callable[[Counts, int], bytes]:
+    """Return the pad's encoder, which also shows the frames, and names each gesture as it begins."""
+    encode = encoder_for(settings.sensor)
+    touches = (span for span in stream.spans if span.gesture != NO_TOUCH)
+    begins = {int(stream.sensor_ms[span.start]): span.gesture for span in touches}
 
     def shown(counts: Counts, sensor_ms: int) -> bytes:
         show.show_frame(counts, sensor_ms)
-        gesture = begins.get((sensor_ms - first_ms) % length_ms, "notouch")
-        if gesture != "notouch":
-            show.doing(f"the simulated hand: {name_of(words_of(settings), gesture)}")
+        if sensor_ms in begins:
+            _begins(show, settings, begins[sensor_ms])
         return encode(counts, sensor_ms)
 
     return shown
 
 
-def _show_call(show: View | PlainLines, call: Call) -> None:
+def _show_call(show: Show, call: Call) -> None:
     """Show a call to the stand-in robot as a line, except those that its link already reports."""
     if call.refused:
         show.note(f"robot refuses {call.method}: {call.refused}")

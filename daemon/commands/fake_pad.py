@@ -1,15 +1,18 @@
 """`touchd fake-pad`: a simulated pad behind a pseudo-terminal, to try every command without hardware."""
 
+from __future__ import annotations
+
 import argparse
 import shlex
 import sys
 import threading
+import typing
 from collections.abc import Sequence
 from contextlib import ExitStack
 
 from numpy.random import RandomState
 
-from touchd.daemon.app.config import Settings
+from touchd.daemon.app.config import LiveSettings, Settings
 from touchd.daemon.commands.settings import add_settings, parsed, settings_of
 from touchd.daemon.live.address import listen, parse_address, urls_of
 from touchd.daemon.playback.rig import encoder_for
@@ -17,7 +20,33 @@ from touchd.drivers.fakes.fake_port import LivePort
 from touchd.drivers.fakes.hand import PlayedHand, SimulatedPad
 from touchd.drivers.installed import program_name
 
+if typing.TYPE_CHECKING:
+    from touchd.daemon.live.touch import TouchPage
+    from touchd.model.classifier import Classifier
+
 GESTURES, EVERY_S = ("pat", "stroke", "rub", "constant"), 6.0
+
+
+def add_live(parser: argparse.ArgumentParser) -> None:
+    """Add the option --live of a simulated pad."""
+    parser.add_argument(
+        "--live", nargs="?", const="", metavar="[HOST:]PORT", help="also serve a page to touch the pad"
+    )
+
+
+def serve_page(
+    closing: ExitStack, live: LiveSettings, settings: Settings, model: Classifier | None
+) -> tuple[TouchPage, Sequence[str]]:
+    """Serve a page to touch a simulated pad; return it, and its addresses."""
+    # Imported only with --live, since these modules need its library.
+    from touchd.daemon.live.memory import Scene
+    from touchd.daemon.live.touch import TouchPage
+
+    listening = closing.enter_context(listen(live))
+    page = TouchPage(listening, live, Scene(settings, model))
+    closing.callback(page.stop)
+    page.start()
+    return page, urls_of(live, listening.getsockname()[1])
 
 
 def parser() -> argparse.ArgumentParser:
@@ -25,9 +54,7 @@ def parser() -> argparse.ArgumentParser:
         prog="touchd fake-pad",
         description="A simulated pad on a serial port whose path is printed, until Ctrl-C.",
     )
-    parser.add_argument(
-        "--live", nargs="?", const="", metavar="[HOST:]PORT", help="also serve a page to touch the pad"
-    )
+    add_live(parser)
     add_settings(parser, "settings, whose pad's format is sent", port=False)
     return parser
 
@@ -38,22 +65,13 @@ def main(arguments: Sequence[str]) -> int:
     rng = RandomState()
     hand = PlayedHand(GESTURES, EVERY_S, rng)
     found = settings_of(options)
-    encode = encoder_for(found.settings.sensor)
     pad = SimulatedPad(rng, hand)
     with ExitStack() as closing:
         if options.live is not None:
-            # Imported only with --live, since these modules need its library.
-            from touchd.daemon.live.memory import Scene
-            from touchd.daemon.live.touch import TouchPage
-
-            live = parse_address(options.live, None)
-            listening = closing.enter_context(listen(live))
-            page = TouchPage(listening, live, Scene(Settings(), None))
-            closing.callback(page.stop)
-            page.start()
+            page, urls = serve_page(closing, parse_address(options.live, None), Settings(), None)
             pad = SimulatedPad(rng, hand, page.touching, page.show_frame)
-            sys.stdout.write(f"live page: {' '.join(urls_of(live, listening.getsockname()[1]))}\n")
-        port = closing.enter_context(LivePort(pad.scan, encode))
+            sys.stdout.write(f"live page: {' '.join(urls)}\n")
+        port = closing.enter_context(LivePort(pad.scan, encoder_for(found.settings.sensor)))
         file = f" -c {shlex.quote(str(found.file))}" if found.file else ""
         sys.stdout.write(f"pad: {port.path}\nread it with: {program_name()} run{file} --port {port.path}\n")
         sys.stdout.flush()
