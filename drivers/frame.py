@@ -50,8 +50,8 @@ class ProtocolCounts:
 
     frames: delivered. damaged: about how many frames the refused bytes were. bad_time: frames refused because
     they disagree with the pad's clock. duplicates: frames that repeat a clock already taken. clipped: frames
-    delivered whose values above full scale were cut to it. bytes_dropped: bytes that belong to no well-formed
-    frame. restarts: of the board; the last began at frame restarted_at.
+    delivered whose values above full scale were cut to it. restarts: of the board; the last began at frame
+    restarted_at.
     """
 
     frames: int = 0
@@ -59,7 +59,6 @@ class ProtocolCounts:
     bad_time: int = 0
     duplicates: int = 0
     clipped: int = 0
-    bytes_dropped: int = 0
     restarts: int = 0
     restarted_at: int = -ONE_RESTART_FRAMES
 
@@ -67,11 +66,6 @@ class ProtocolCounts:
     def bad(self) -> int:
         """Frames refused as damaged, for whatever reason; a duplicate is not damage."""
         return self.damaged + self.bad_time
-
-    def refuse(self, dropped: int = 0) -> None:
-        """Count a damaged frame, and the bytes dropped with it."""
-        self.damaged += 1
-        self.bytes_dropped += dropped
 
     def restarted(self) -> None:
         """Count a restart of the board, of which a sign was seen now."""

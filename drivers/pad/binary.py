@@ -52,7 +52,6 @@ class BinaryFraming:
 
     def reset(self) -> None:
         """Forget half a frame."""
-        self._counts.bytes_dropped += len(self.buffer)
         self.buffer = b""
         self._gap, self._in_step = 0, False
 
@@ -125,7 +124,6 @@ class BinaryFraming:
         values = self._values_in(data) if len(data) == self._size else None
         if values is None:
             self._counts.damaged += bool(data)
-            self._counts.bytes_dropped += len(data)
             return []
         return [self._sent(data, values, host_s)]
 
@@ -145,7 +143,6 @@ class BinaryFraming:
             before = -(-self._gap // self._size)
             self._gap += count
             self._counts.damaged += -(-self._gap // self._size) - before
-            self._counts.bytes_dropped += count
             self._in_step = False
         return count
 

@@ -49,7 +49,7 @@ class GridFrame(msgspec.Struct, frozen=True, eq=False):
 
 
 class Ring:
-    """The last `capacity` grid frames. is_in_step: whether each frame of the pad becomes one of them."""
+    """The last `capacity` grid frames."""
 
     def __init__(self, capacity: int) -> None:
         self._history: deque[GridFrame] = deque(maxlen=capacity)
@@ -59,7 +59,7 @@ class Ring:
         self._pressure = np.zeros((ROWS, COLUMNS), np.float32)
         self._grid_ms = 0.0
         self._phase_ms = 0.0
-        self._in_step, self.is_in_step = IN_STEP_FRAMES, False
+        self._in_step = IN_STEP_FRAMES
         self._late: Frame | None = None
         self._vibration = Vibration()
 
@@ -87,9 +87,9 @@ class Ring:
             return [self._restart(frame, pressure)]
         now_ms = self._clock_ms + elapsed_ms
         self._follow_phase(now_ms)
-        self.is_in_step = self._in_step > IN_STEP_FRAMES
-        due_ms = self._times_until(now_ms - PERIOD_MS / 2 if self.is_in_step else now_ms)
-        if self.is_in_step:
+        is_in_step = self._in_step > IN_STEP_FRAMES
+        due_ms = self._times_until(now_ms - PERIOD_MS / 2 if is_in_step else now_ms)
+        if is_in_step:
             due_ms.append(float(now_ms))
         frames = [self._between(frame, pressure, now_ms, at_ms) for at_ms in due_ms]
         self._sensor_ms, self._clock_ms, self._pressure = frame.sensor_ms, now_ms, pressure

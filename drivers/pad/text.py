@@ -105,28 +105,23 @@ class TextFraming:
         for line in lines_in(text[:ended]):
             if self._skipping:
                 self._skipping = False
-                self._counts.bytes_dropped += len(line) + 1
             elif len(line) > self._longest:
-                frames += self._give_up(len(line) + 1)
+                frames += self._give_up()
             else:
                 frames += self._line(line, host_s)
         if len(self.buffer) > self._longest:
-            if self._skipping:
-                self._counts.bytes_dropped += len(self.buffer)
-            else:
-                frames += self._give_up(len(self.buffer))
+            frames += [] if self._skipping else self._give_up()
             self.buffer, self._skipping = b"", True
         return frames
 
     def reset(self) -> None:
         """Forget half a frame."""
-        self._counts.bytes_dropped += len(self.buffer)
         self.buffer = b""
         self._begin()
 
-    def _give_up(self, length: int) -> list[Sent]:
+    def _give_up(self) -> list[Sent]:
         """Refuse a line that cannot be one of the pad's."""
-        self._counts.refuse(length)
+        self._counts.damaged += 1
         return self._end_run()
 
     def _line(self, line: bytes, host_s: float) -> list[Sent]:
@@ -140,14 +135,12 @@ class TextFraming:
         if self._end:
             return self._line_before_end(line, numbers, host_s)
         if 2 * count > described.cells + self._around:
-            return self._give_up(len(line) + 1)
+            return self._give_up()
         leads = numbers[: described.skip] if label is None else [label, *numbers[: described.skip]]
         falls = any(now < before for now, before in zip(leads, self._run_leads, strict=False))
         ended = self._end_run() if count != self._run_width or falls else []
         if count > self._around:
             self._add(numbers, leads, host_s)
-        else:
-            self._counts.bytes_dropped += len(line) + 1 if line else 0
         return ended
 
     def _line_before_end(self, line: bytes, numbers: list[float], host_s: float) -> list[Sent]:
@@ -176,8 +169,7 @@ class TextFraming:
         self._is_first_run = False
         if len(cells) == self._format.cells:
             return self._frame(cells, [], host_s)
-        if is_broken:
-            self._counts.refuse()
+        self._counts.damaged += is_broken
         return []
 
     def _frame(self, cells: list[float], skipped: Sequence[float], host_s: float) -> list[Sent]:

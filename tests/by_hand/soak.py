@@ -226,7 +226,7 @@ class Soak:
             "malloc_mmap_threshold": os.environ.get("MALLOC_MMAP_THRESHOLD_", "glibc's own"),
             "sensor_hours": round(frames / HOUR_FRAMES, 3),
             "frames": frames,
-            "bytes_dropped_as_garbage": self._parser.counts.bytes_dropped,
+            "frames_refused": self._parser.counts.bad,
             "restarts_of_the_board": self._parser.counts.restarts,
             "touches": self.audit.touches,
             "predictions": self.audit.predictions,

@@ -125,7 +125,6 @@ def test_garbage_is_counted_and_loses_no_intact_frame(described: PadFormat) -> N
     data += b"".join(sent(described, number) for number in (2, 3, 4))
     assert_are(described, feed(parser, data, range(0, len(data), 211)), range(5))
     assert parser.counts.bad >= 1
-    assert parser.counts.bytes_dropped >= len(garbage) - 9
 
 
 @every_format
@@ -222,7 +221,7 @@ def test_a_datagram_is_a_frame_or_is_refused() -> None:
     whole = encode_frame(described, counts_of(0), None)
     frames = [len(parser.feed(data, 1.0)) for data in (whole, b"", whole[:-1], whole + b"x", whole)]
     assert frames == [1, 0, 0, 0, 1]
-    assert (parser.counts.damaged, parser.counts.bytes_dropped) == (2, 2 * len(whole))
+    assert parser.counts.damaged == 2
 
 
 @pytest.mark.parametrize("cell", ["u8", "u12", "u16"])
