@@ -3,6 +3,7 @@
 import json
 import struct
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -165,12 +166,27 @@ def picture_of(printed: Printed, values: Cells) -> float:
     return max(likeness(late) for late in (0, 1))
 
 
-@pytest.mark.parametrize("printed", READ.values(), ids=READ)
+# The quick suite searches for one format of each kind.
+QUICK = {"commas", "clock and frame number", "total", "keys", "JSON", "volts", "0x", "signs", "board's log"}
+QUICK |= {"log between", "rows and blank", "rows, labelled", "two rows a line", "a cell a line", "inverted"}
+QUICK |= {"falls from the middle", "u8, counter, sum", "u16, big", "u16, clock", "i16", "f32", "bare rows"}
+QUICK |= {"a shorter last line", "decimal commas", "rows to and fro", "pads by turns", "two pads", "changes"}
+QUICK |= {"low bytes", "half a frame a packet", "no header"}
+
+
+def tabled(table: dict[str, Any]) -> list[Any]:
+    """Return the rows of a table as parameters; those that are not quick are slow."""
+    rows = {name: row if isinstance(row, tuple) else (row,) for name, row in table.items()}
+    marks = {name: [] if name in QUICK else [pytest.mark.slow] for name in rows}
+    return [pytest.param(*row, id=name, marks=marks[name]) for name, row in rows.items()]
+
+
+@pytest.mark.parametrize("printed", tabled(READ))
 def test_the_picture_follows_the_hand(printed: Printed) -> None:
     assert picture_of(printed, a_hand_on(8, 10)) > 0.97
 
 
-@pytest.mark.parametrize(("printed", "missing"), REFUSED.values(), ids=REFUSED)
+@pytest.mark.parametrize(("printed", "missing"), tabled(REFUSED))
 def test_what_cannot_be_read_is_refused(printed: Printed, missing: str) -> None:
     values = a_hand_on(8, 10)
     finding, _ = found_in(lambda number: printed(values[number], number), (8, 10))
@@ -234,7 +250,9 @@ NO_PADS: dict[str, Callable[[int], str | bytes]] = {
 
 
 @pytest.mark.parametrize("printed", NO_PADS.values(), ids=NO_PADS)
-@pytest.mark.parametrize("grid", [None, (4, 4), (4, 6), (8, 8)])
+@pytest.mark.parametrize(
+    "grid", [None, (4, 4), *(pytest.param(grid, marks=pytest.mark.slow) for grid in [(4, 6), (8, 8)])]
+)
 def test_other_sensors_are_not_taken_for_pads(
     printed: Callable[[int], str | bytes], grid: tuple[int, int] | None
 ) -> None:
