@@ -210,7 +210,7 @@ def test_running_out_of_descriptors_neither_floods_the_log_nor_lasts(tmp_path: P
         resource.prlimit(pid, resource.RLIMIT_NOFILE, (most, most))
         for _ in range(40):
             closing.enter_context(socket.create_connection(("127.0.0.1", port), 5.0))
-        time.sleep(2.0)
+        wait_for(lambda: "Too many open files" in daemon.log)
         closing.close()
 
         def is_served() -> bool:

@@ -195,9 +195,15 @@ def test_the_fake_robot_command_refuses_invalid_options(
     assert wrong.partition("=")[0] in capsys.readouterr().err
 
 
-def test_a_kill_during_a_call_is_survived(client: str) -> None:
+@pytest.fixture(params=["touchd", pytest.param("qi", marks=[needs_qi, pytest.mark.slow])])
+def either(request: pytest.FixtureRequest) -> str:
+    """The client in tests that take a second, or more: qi's is tested in the slow suite."""
+    return str(request.param)
+
+
+def test_a_kill_during_a_call_is_survived(either: str) -> None:
     limits = RobotLimits(call_s=20)
-    with Robot(call_s=0.2) as robot, linked(robot, client=client, limits=limits) as (link, states):
+    with Robot(call_s=0.2) as robot, linked(robot, client=either, limits=limits) as (link, states):
         states.wait_for("up")
         link.put(*message("stroke"))
         robot.calls.wait_for(lambda call: "Detail" in str(call.arguments[0]))
@@ -210,8 +216,8 @@ def test_a_kill_during_a_call_is_survived(client: str) -> None:
         assert robot.calls.raised(GESTURE) == ["pat"]
 
 
-def test_a_hang_is_noticed_and_events_flow_again_after_it(client: str) -> None:
-    with Robot() as robot, linked(robot, client=client) as (link, states):
+def test_a_hang_is_noticed_and_events_flow_again_after_it(either: str) -> None:
+    with Robot() as robot, linked(robot, client=either) as (link, states):
         states.wait_for("up")
         robot.hang()
         assert "no answer within" in states.wait_for("up", "down")
@@ -220,8 +226,8 @@ def test_a_hang_is_noticed_and_events_flow_again_after_it(client: str) -> None:
         hears(robot, link)
 
 
-def test_a_robot_that_returns_gets_the_status(client: str) -> None:
-    with Robot() as robot, linked(robot, client=client, limits=RobotLimits(heartbeat_s=60)) as (link, states):
+def test_a_robot_that_returns_gets_the_status(either: str) -> None:
+    with Robot() as robot, linked(robot, client=either, limits=RobotLimits(heartbeat_s=60)) as (link, states):
         states.wait_for("up")
         link.set_status("down")
         robot.calls.wait_for_raise(STATUS, "down")
@@ -232,11 +238,11 @@ def test_a_robot_that_returns_gets_the_status(client: str) -> None:
         robot.calls.wait_for(lambda _: robot.calls.raised(STATUS) == ["up", "down", "down"])
 
 
-def test_stale_messages_are_dropped_and_fresh_ones_sent(client: str) -> None:
+def test_stale_messages_are_dropped_and_fresh_ones_sent(either: str) -> None:
     limits = RobotLimits(stale_s=0.5)
     with Robot() as robot:
         robot.kill()
-        with linked(robot, client=client, limits=limits) as (link, states):
+        with linked(robot, client=either, limits=limits) as (link, states):
             link.put(*message("stale"))
             assert "refused" in states.wait_for("down")
             time.sleep(0.6)
@@ -246,8 +252,8 @@ def test_stale_messages_are_dropped_and_fresh_ones_sent(client: str) -> None:
             assert robot.calls.raised(GESTURE) == ["fresh"]
 
 
-def test_a_robot_without_its_memory_is_down_and_says_why(client: str) -> None:
-    with Robot(without=["ALMemory"]) as robot, linked(robot, client=client) as (_, states):
+def test_a_robot_without_its_memory_is_down_and_says_why(either: str) -> None:
+    with Robot(without=["ALMemory"]) as robot, linked(robot, client=either) as (_, states):
         assert "looking for ALMemory" in states.wait_for("down")
 
 
@@ -277,10 +283,10 @@ def speaker(robot: Robot) -> Iterator[IO[str]]:
 
 
 @needs_qi
-def test_a_service_that_comes_back_is_used_again(caplog: pytest.LogCaptureFixture, client: str) -> None:
+def test_a_service_that_comes_back_is_used_again(caplog: pytest.LogCaptureFixture, either: str) -> None:
     with (
         Robot(without=["ALTextToSpeech"]) as robot,
-        linked(robot, client=client, acts=True) as (link, states),
+        linked(robot, client=either, acts=True) as (link, states),
     ):
         states.wait_for("up")
         with speaker(robot) as said:
@@ -295,10 +301,10 @@ def test_a_service_that_comes_back_is_used_again(caplog: pytest.LogCaptureFixtur
 
 
 def test_an_action_that_takes_too_long_is_cut_and_reported(
-    caplog: pytest.LogCaptureFixture, client: str
+    caplog: pytest.LogCaptureFixture, either: str
 ) -> None:
     limits = RobotLimits(action_s=0.3)
-    with Robot(say_s=1.5) as robot, linked(robot, client=client, limits=limits, acts=True) as (link, states):
+    with Robot(say_s=1.5) as robot, linked(robot, client=either, limits=limits, acts=True) as (link, states):
         states.wait_for("up")
         link.act([say("pat"), say("rub")])
         wait_for(lambda: "given up" in caplog.text)
@@ -308,9 +314,9 @@ def test_an_action_that_takes_too_long_is_cut_and_reported(
     )
 
 
-def test_the_heartbeat_works_without_its_service(client: str) -> None:
+def test_the_heartbeat_works_without_its_service(either: str) -> None:
     limits = RobotLimits(heartbeat_s=0.02)
-    with Robot(without=["ALSystem"]) as robot, linked(robot, client=client, limits=limits) as (link, states):
+    with Robot(without=["ALSystem"]) as robot, linked(robot, client=either, limits=limits) as (link, states):
         states.wait_for("up")
         time.sleep(0.1)
         hears(robot, link, "stroke")
@@ -319,11 +325,11 @@ def test_the_heartbeat_works_without_its_service(client: str) -> None:
 
 @pytest.mark.parametrize("is_right", [True, False])
 def test_a_login_connects_if_it_is_right_and_never_shows_the_token(
-    is_right: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture, client: str
+    is_right: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture, either: str
 ) -> None:
     caplog.set_level(logging.DEBUG)
     login = login_in(tmp_path, LOGIN if is_right else Login("nao", "wr0ng-token"))
-    with Robot(login=LOGIN) as robot, linked(robot, client=client, **login, acts=True) as (link, states):
+    with Robot(login=LOGIN) as robot, linked(robot, client=either, **login, acts=True) as (link, states):
         if is_right:
             states.wait_for("up")
             answer(link, "tickle")
@@ -336,16 +342,16 @@ def test_a_login_connects_if_it_is_right_and_never_shows_the_token(
 
 
 @pytest.mark.parametrize("encrypted", [True, False])
-def test_tcp_and_tcps_mixed_up_gives_advice(encrypted: bool, client: str) -> None:
+def test_tcp_and_tcps_mixed_up_gives_advice(encrypted: bool, either: str) -> None:
     with Robot(login=LOGIN if encrypted else None) as robot:
         url = robot.url.replace("tcps://", "tcp://") if encrypted else robot.url.replace("tcp://", "tcps://")
-        with linked(robot, client=client, url=url) as (_, states):
+        with linked(robot, client=either, url=url) as (_, states):
             assert "tcp:// or tcps://" in states.wait_for("down")
 
 
-def test_publishing_to_a_hung_robot_returns_at_once(client: str) -> None:
+def test_publishing_to_a_hung_robot_returns_at_once(either: str) -> None:
     limits = replace(IMPATIENT, capacity=5, stale_s=60)
-    with Robot() as robot, linked(robot, client=client, limits=limits, acts=True) as (link, states):
+    with Robot() as robot, linked(robot, client=either, limits=limits, acts=True) as (link, states):
         states.wait_for("up")
         robot.hang()
         states.wait_for("up", "down")
@@ -360,10 +366,10 @@ def test_publishing_to_a_hung_robot_returns_at_once(client: str) -> None:
 
 
 @pytest.mark.parametrize("state", ["up", "killed", "hung", "hung-connect", "busy"])
-def test_stopping_ends_soon_and_leaves_no_thread(state: str, client: str) -> None:
+def test_stopping_ends_soon_and_leaves_no_thread(state: str, either: str) -> None:
     with (
         Robot(say_s=60) as robot,
-        linked(robot, client=client, limits=IMPATIENT, acts=True) as (link, states),
+        linked(robot, client=either, limits=IMPATIENT, acts=True) as (link, states),
     ):
         reach(state, robot, link, states)
         started_s = time.monotonic()
@@ -372,10 +378,10 @@ def test_stopping_ends_soon_and_leaves_no_thread(state: str, client: str) -> Non
         assert link_threads() == []
 
 
-def test_a_silent_listener_is_down_and_can_be_disconnected(client: str) -> None:
+def test_a_silent_listener_is_down_and_can_be_disconnected(either: str) -> None:
     with socket.create_server(("127.0.0.1", 0)) as mute, Robot() as robot:
         url = f"tcp://127.0.0.1:{mute.getsockname()[1]}"
-        with linked(robot, client=client, url=url, limits=RobotLimits(connect_s=0.3)) as (_, states):
+        with linked(robot, client=either, url=url, limits=RobotLimits(connect_s=0.3)) as (_, states):
             assert "connecting: no answer" in states.wait_for("down")
             started_s = time.monotonic()
         assert time.monotonic() - started_s < AT_ONCE_S

@@ -181,7 +181,7 @@ def stops_midway(client: socket.socket, goes_on: Callable[[], bool]) -> None:
 @pytest.mark.parametrize("attack", [drips, talks, never_answers, reads_nothing, stops_midway])
 @pytest.mark.parametrize("is_stopping", [False, True])
 def test_every_wait_has_its_limit(attack: Attack, is_stopping: bool) -> None:
-    limits = RobotLimits(connect_s=60.0 if is_stopping else 0.4)
+    limits = RobotLimits(connect_s=60.0 if is_stopping else 0.2)
     with session_with(attack, limits) as robot:
         if is_stopping:
             robot._stopping.set()  # type: ignore[attr-defined]
