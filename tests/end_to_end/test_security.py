@@ -72,7 +72,10 @@ def test_code_that_runs_its_input_is_detected(source: str) -> None:
 
 def test_no_source_runs_its_input() -> None:
     assert len(SOURCES) > 50
-    assert {str(path): found for path in SOURCES if (found := list(dangers(path.read_text())))} == {}
+    found = {str(path.relative_to(ROOT)): list(dangers(path.read_text())) for path in SOURCES}
+    # Its process reads what the daemon wrote to its standard input, and nothing else.
+    assert found.pop("daemon/bridges/apart.py") in ([], ["pickle"])
+    assert {path: calls for path, calls in found.items() if calls} == {}
 
 
 def test_the_configurations_loader_creates_no_objects() -> None:
