@@ -30,7 +30,6 @@ from touchd.daemon.view.view import View
 from touchd.drivers.fakes.fake_port import FakePort, LivePort
 from touchd.drivers.fakes.hand import PLAYED, PlayedHand, SimulatedPad
 from touchd.drivers.fakes.loopback_robot import LoopbackRobot
-from touchd.drivers.fakes.services import Call
 from touchd.drivers.frame import NO_TOUCH, OTHER, Counts
 from touchd.drivers.installed import program_name
 from touchd.drivers.recording import Stream, read_recordings, splice
@@ -168,7 +167,7 @@ def _run(
     """
     folder = Path(closing.enter_context(tempfile.TemporaryDirectory(prefix="touchd-demo-")))
     log = closing.enter_context((folder / "log").open("w+b"))
-    robot = closing.enter_context(LoopbackRobot(partial(_show_call, show), [f"--say-s={SPEECH_S}"]))
+    robot = closing.enter_context(LoopbackRobot(lambda call: None, [f"--say-s={SPEECH_S}"]))
     sensor = msgspec.structs.replace(settings.sensor, port=port.path)
     settings = msgspec.structs.replace(settings, sensor=sensor, robot=RobotSettings(url=robot.url))
     daemon = SpawnedDaemon(settings, folder, log)
@@ -212,13 +211,3 @@ def _showing(stream: Stream, show: Show, settings: Settings) -> Callable[[Counts
         return encode(counts, sensor_ms)
 
     return shown
-
-
-def _show_call(show: Show, call: Call) -> None:
-    """Show a call to the stand-in robot as a line, except those that its link already reports."""
-    if call.refused:
-        show.note(f"robot refuses {call.method}: {call.refused}")
-    elif call.method == "raiseEvent":
-        event = str(call.arguments[0]).rpartition("/")[2]
-        if event != "Detail":
-            show.note(f"robot receives {event}: {call.arguments[1]}")
