@@ -76,13 +76,10 @@ def main(arguments: Sequence[str]) -> int:
     options = parser().parse_args(arguments)
     _check(options)
     console = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
-    ports = [options.port] if options.port else _ports()
-    bauds = [options.baud] if options.baud else list(USUAL_BAUDS)
-    found = _find(console, ports, bauds, options.grid)
+    found = _find(console, options)
     if found is not None and found.described is None:
-        console.print(
-            f"no configuration was written; how to describe a pad: {program_name()} docs pads", style="bold"
-        )
+        how = f"no configuration was written; how to describe a pad: {program_name()} docs pads"
+        console.print(how, style="bold")
         return 1
     # Without a pad, assume a fabric pad's rate, which is not the first of the usual rates.
     unseen = Found(options.port or DEFAULT_PORT, options.baud or SensorSettings().baud, None)
@@ -101,9 +98,8 @@ def main(arguments: Sequence[str]) -> int:
         if certificate:
             console.print(f"from now on, only this robot is trusted (robot.certificate): {certificate}")
         is_well &= check.verdict == "ok"
-    console.print(
-        f"wrote {file}; next: {program_name()} doctor -c {file}, then {program_name()} run -c {file}"
-    )
+    touchd = program_name()
+    console.print(f"wrote {file}; next: {touchd} doctor -c {file}, then {touchd} run -c {file}")
     return 0 if is_well else 1
 
 
@@ -125,22 +121,17 @@ def _write(
     file: Path, port: str, baud: int, described: PadFormat, robot: str | None, certificate: str | None
 ) -> None:
     """Write the configuration, and check that it can be loaded."""
-    text = f"sensor:\n  port: {_quoted(port)}\n  baud: {baud}\n{_as_settings(described)}"
+    lines = ["sensor:", f"  port: {_quoted(port)}", f"  baud: {baud}", f"  {as_yaml(described)}"]
+    lines += [f"  turn: {described.turn}"] if described.turn else []
+    lines += ["  mirror: true"] if described.mirror else []
     pinned = f", certificate: {_quoted(certificate)}" if certificate else ""
-    text += f"robot: {f'{{url: {_quoted(robot)}{pinned}}}' if robot else 'null'}\njournal: {{}}\n"
+    lines += [f"robot: {f'{{url: {_quoted(robot)}{pinned}}}' if robot else 'null'}", "journal: {}", ""]
     with (
         os_errors_as(ConfigError, f"{file}: cannot be written", "give another path"),
         whole_file(file, replace=False) as new,
     ):
-        new.write_text(text, encoding="utf-8")
+        new.write_text("\n".join(lines), encoding="utf-8")
     load(file)
-
-
-def _as_settings(described: PadFormat) -> str:
-    """Return a description as lines below `sensor:`, how the pad lies beside what it sends."""
-    text = f"  {as_yaml(described)}\n"
-    text += f"  turn: {described.turn}\n" if described.turn else ""
-    return text + ("  mirror: true\n" if described.mirror else "")
 
 
 def _quoted(text: str) -> str:
@@ -155,67 +146,63 @@ def _ports() -> list[str]:
     return [DEFAULT_PORT, *(port for port in found if port != linked)]
 
 
-def _find(console: Console, ports: Sequence[str], bauds: Sequence[int], grid: Grid | None) -> Found | None:
+def _find(console: Console, options: argparse.Namespace) -> Found | None:
     """Return the first port with a pad, else the first that sends anything; None if none does.
 
     Raises SensorError if none sends and one is forbidden or busy: the pad may be there.
     """
     unknown: Found | None = None
-    closed: dict[str, SensorError] = {}
-    for port in ports:
+    closed: list[SensorError] = []
+    bauds = [options.baud] if options.baud else USUAL_BAUDS
+    for port in [options.port] if options.port else _ports():
         try:
-            found = _listen(console, port, bauds, grid)
-        except (SensorError, OSError) as error:
-            if isinstance(error, SensorError) and error.kind in ("denied", "busy"):
-                closed[port] = error
+            found = _listen(console, port, bauds if "://" not in port else bauds[:1], options.grid)
+        except SensorError as error:
+            if error.kind in ("denied", "busy"):
+                closed.append(SensorError(error.kind, f"{error}; {advice_for(port, error)}"))
             else:
                 console.print(str(error), style="yellow")
             continue
         if found is not None and found.described is not None:
             return found
         unknown = unknown or found
-    for port, denied in closed.items():
-        why = SensorError(denied.kind, f"{denied}; {advice_for(port, denied)}")
-        if unknown is None:
-            raise why
-        console.print(str(why), style="yellow")
+    if unknown is None and closed:
+        raise closed[0]
+    for each in closed:
+        console.print(str(each), style="yellow")
     return unknown
 
 
 def _listen(console: Console, port: str, bauds: Sequence[int], grid: Grid | None) -> Found | None:
-    """Return the sender at a port, None if there is none; raises SensorError or OSError."""
-    rates = bauds if "://" not in port else bauds[:1]
+    """Return the sender at a port, None if there is none; raises SensorError."""
     tried: list[int] = []
 
     def trying(baud: int) -> None:
         tried.append(baud)
-        count = f" ({len(tried)} of {len(rates)} rates)" if len(rates) > 1 else ""
+        count = f" ({len(tried)} of {len(bauds)} rates)" if len(bauds) > 1 else ""
         # One line that counts; without a terminal, the first one stays.
         if console.is_terminal or len(tried) == 1:
             console.print(f"\rlistening to {port}{at_baud(port, baud)}{count} ...", end="")
 
     with open_port(port, min(bauds)) as opened:
-        baud = likeliest_baud(opened, rates, trying)
+        baud = likeliest_baud(opened, bauds, trying)
         console.print()
         if baud is None:
             return None
-        described = _describe(console, opened, f"{port}{at_baud(port, baud)}", tried, grid)
-        return Found(port, baud, described)
+        rates = f"; baud rates tried: {', '.join(map(str, tried))}" if len(tried) > 1 else ""
+        return Found(port, baud, _describe(console, opened, f"{port}{at_baud(port, baud)}", rates, grid))
 
 
-def _describe(
-    console: Console, opened: Line, where: str, tried: Sequence[int], grid: Grid | None
-) -> PadFormat | None:
+def _describe(console: Console, opened: Line, where: str, tried: str, grid: Grid | None) -> PadFormat | None:
     """Return the proven description of the sender, or print what its bytes look like and what is missing."""
-    at_rest: list[Chunk] = []
     while True:
+        at_rest: list[Chunk] = []
         if can_ask():
             finding, at_rest = find_with_a_hand(console, opened, grid)
         else:
             finding = find_without_asking(console.print, opened, (grid,))
         if finding.proposed is None:
-            rates = f"; baud rates tried: {', '.join(map(str, tried))}" if len(tried) > 1 else ""
-            console.print(f"{where}: {finding.saw}; {finding.missing}{rates}", style="yellow")
+            console.print(f"{where}: {finding.saw}; {finding.missing}{tried}", style="yellow")
             return None
         if not can_ask():
             return finding.proposed
@@ -235,7 +222,7 @@ def _find_robot(console: Console, typed: str) -> str | None:
 
 def _ask_robot(console: Console) -> str:
     """Return the address that the user types, "" without a terminal or at end of input."""
-    while sys.stdin.isatty():
+    while can_ask():
         console.print("The robot's name or address, as in nao.local (Enter: no robot): ", end="")
         typed = sys.stdin.readline().strip()
         try:
