@@ -129,8 +129,8 @@ class FakePort(_FakeLine):
     """Plays `stream` through a pty from the moment a reader opens `path`.
 
     encode: turns counts (8, 8) and a clock in ms into the bytes of one frame. speed: 1 keeps the stream's own
-    pace by an absolute schedule, N is N times faster, None is flat out. loop: starts over while the clock
-    continues. At a pace, frames that are due while nobody reads are lost; flat out, it waits for a reader.
+    pace by an absolute schedule, N is N times faster, as far as the reader keeps up. loop: starts over while
+    the clock continues. Frames that are due while nobody has it open are lost.
     sent_s: (T,) float64, `time.monotonic()` just before a frame's last byte was written, NaN until then.
     """
 
@@ -139,7 +139,7 @@ class FakePort(_FakeLine):
         stream: Stream,
         encode: Callable[[Counts, int], bytes],
         *,
-        speed: float | None = 1.0,
+        speed: float = 1.0,
         loop: bool = False,
     ) -> None:
         self._stream = stream
@@ -167,9 +167,7 @@ class FakePort(_FakeLine):
         begin_s = time.monotonic()
         for index, sensor_ms, elapsed_ms in self._schedule():
             packet = self._encode(self._stream.counts[index], sensor_ms)
-            if self._speed is not None:
-                due_s = begin_s + elapsed_ms / 1000 / self._speed
-                self._stop.wait(max(0.0, due_s - time.monotonic()))
+            self._stop.wait(max(0.0, begin_s + elapsed_ms / 1000 / self._speed - time.monotonic()))
             if self._stop.is_set():
                 return
             self._send(index, packet)
@@ -191,13 +189,7 @@ class FakePort(_FakeLine):
 
     def _send(self, index: int, packet: bytes) -> None:
         sent = 0
-        while sent < len(packet) and not self._stop.is_set():
-            if not self._has_reader():
-                if self._speed is not None:
-                    return
-                self._await_reader()
-                sent = 0
-                continue
+        while sent < len(packet) and not self._stop.is_set() and self._has_reader():
             now_s = time.monotonic()
             try:
                 sent += os.write(self._master, packet[sent:])

@@ -17,6 +17,8 @@ from rigs.wire import SIZE
 from touchd.drivers.fakes.fake_port import FakePort, FakePortError, LivePort
 from touchd.drivers.recording import Stream
 
+FLAT_OUT = 1e6
+
 
 def encoded(stream: Stream) -> bytes:
     return b"".join(map(encode_fabric_grid, stream.counts, stream.sensor_ms.tolist()))
@@ -54,7 +56,7 @@ def nothing_is_left() -> Iterator[None]:
 
 def test_flat_out_a_slow_reader_gets_every_byte_in_order() -> None:
     stream = stream_of(600)
-    with FakePort(stream, encode_fabric_grid, speed=None) as port, opened(port) as reader:
+    with FakePort(stream, encode_fabric_grid, speed=FLAT_OUT) as port, opened(port) as reader:
         assert not port.wait(0.1)
         data = reader.read(50 * SIZE)
         assert not port.wait(0.05)
@@ -76,7 +78,7 @@ def test_the_recordings_pace_is_kept_without_drift() -> None:
 def test_a_looped_stream_continues_with_its_clock() -> None:
     stream = stream_of(5)
     parser = FabricGrid()
-    with FakePort(stream, encode_fabric_grid, speed=None, loop=True) as port, opened(port) as reader:
+    with FakePort(stream, encode_fabric_grid, speed=FLAT_OUT, loop=True) as port, opened(port) as reader:
         frames = parser.feed(reader.read(12 * SIZE), 0.0)
         assert not port.wait(0.0)
     assert len(frames) == 12
@@ -97,7 +99,7 @@ def test_when_it_stops_the_reader_sees_the_device_go() -> None:
 
 def test_it_stops_at_once_in_every_state_and_leaves_nothing() -> None:
     unread, not_started = (FakePort(stream_of(5), encode_fabric_grid) for _ in range(2))
-    blocked = FakePort(stream_of(600), encode_fabric_grid, speed=None)
+    blocked = FakePort(stream_of(600), encode_fabric_grid, speed=FLAT_OUT)
     playing = FakePort(stream_of(600), encode_fabric_grid)
     for port in (unread, blocked, playing):
         port.start()

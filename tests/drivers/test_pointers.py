@@ -1,9 +1,5 @@
 """Hands that follow pointers: they press a simulated pad as people press a real one."""
 
-import math
-from collections.abc import Callable
-from typing import TypeAlias
-
 import numpy as np
 import pytest
 from numpy.random import RandomState
@@ -12,7 +8,8 @@ from rigs.haart_folder import BARE, needs_haart, recordings_of
 from rigs.visitors import KINDS, counts_of, named
 
 from touchd.drivers.fakes.fabric import Fabric
-from touchd.drivers.fakes.pointers import Pointer, PressingHands, Size
+from touchd.drivers.fakes.hand import PLAYED
+from touchd.drivers.fakes.pointers import Pointer, PressingHands
 from touchd.drivers.frame import FRAME_RATE_HZ, Counts
 from touchd.drivers.recording import Recording, read_recordings
 from touchd.model.classifier import Classifier
@@ -22,41 +19,17 @@ NOISE_COUNTS = 3.0
 LIGHTEST_LOAD = 12.0
 SEEDS = 5
 
-# Where a pointer is after a time in seconds, as shares of the pad; None when it is up.
-Route: TypeAlias = Callable[[float], tuple[float, float] | None]
 
-
-def stroke(time_s: float) -> tuple[float, float] | None:
-    """Passes of half a second, with as long between two as HAART's people take."""
-    part = time_s % 0.8 / 0.5
-    return (0.5, 0.2 + 0.6 * part) if part < 1.0 else None
-
-
-def rub(time_s: float) -> tuple[float, float]:
-    return 0.5 + 0.25 * math.sin(2 * math.pi * 1.4 * time_s), 0.5
-
-
-def pat(time_s: float) -> tuple[float, float] | None:
-    return (0.5, 0.5) if time_s % 0.3 < 0.1 else None
-
-
-def constant(time_s: float) -> tuple[float, float]:
-    return 0.5, 0.5
-
-
-def scratch(time_s: float) -> tuple[float, float]:
-    return 0.5, 0.5 + 0.08 * math.sin(2 * math.pi * 3.2 * time_s)
-
-
-def counts_under(route: Route, seed: int, size: Size) -> Counts:
-    """Return a second of rest and four seconds under a pointer."""
+def counts_under(gesture: str, seed: int) -> Counts:
+    """Return a second of rest and four seconds of a gesture of the simulated hand."""
     rng = RandomState(seed)
     fabric, hands = Fabric(rng), PressingHands(rng)
+    size, make = PLAYED[gesture]
+    path = make(rng)
     pressed = [hands.frame({}) for _ in range(REST)]
     for frame in range(round(4 * FRAME_RATE_HZ)):
-        place = route(frame / FRAME_RATE_HZ)
-        pointers = {} if place is None else {1: Pointer(8 * place[1] - 0.5, 8 * place[0] - 0.5, size)}
-        pressed.append(hands.frame(pointers))
+        place = path(frame / FRAME_RATE_HZ)
+        pressed.append(hands.frame({} if place is None else {1: Pointer(*place, size)}))
     return fabric.read(np.array(pressed))
 
 
@@ -78,10 +51,8 @@ def haart(tmp_path_factory: pytest.TempPathFactory) -> list[Recording]:
 
 
 @needs_haart
-@pytest.mark.parametrize("route", [stroke, rub, pat, constant, scratch])
-def test_a_pointers_hand_presses_as_peoples_do(haart: list[Recording], route: Route) -> None:
-    gesture = route.__name__
-    size: Size = "fingertips" if gesture == "scratch" else "hand"
+@pytest.mark.parametrize("gesture", PLAYED)
+def test_the_simulated_hand_presses_as_peoples_do(haart: list[Recording], gesture: str) -> None:
     at_rest = {(r.participant, r.substrate): r.counts.mean(axis=0) for r in haart if r.gesture == "notouch"}
     real = [
         measures(r.counts, at_rest[r.participant, r.substrate])
@@ -90,7 +61,7 @@ def test_a_pointers_hand_presses_as_peoples_do(haart: list[Recording], route: Ro
     ]
     made = [
         measures(counts[REST:], counts[:REST].mean(axis=0))
-        for counts in (counts_under(route, seed, size) for seed in range(SEEDS))
+        for counts in (counts_under(gesture, seed) for seed in range(SEEDS))
     ]
     low, high = np.quantile(real, (0.1, 0.9), axis=0)
     median = np.median(made, axis=0)

@@ -33,7 +33,7 @@ TIOCGEXCL = 0x80045440
 
 
 def test_a_readable_port_passes_undisturbed() -> None:
-    with FakePort(stream_of(5), encode_fabric_grid, speed=None) as port:
+    with FakePort(stream_of(5), encode_fabric_grid, speed=1e6) as port:
         check_port(port.path, BAUD)
         assert not port.wait(0.05)
         assert np.isnan(port.sent_s).all()
