@@ -3,7 +3,6 @@
 /** A canvas at the screen's resolution. It observes its size, because asking for the size forces a layout. */
 export class SharpCanvas {
   #canvas;
-  #isEmpty = true;
   /** In CSS pixels. */
   width;
   #height;
@@ -26,15 +25,9 @@ export class SharpCanvas {
     // Setting the size allocates new memory, even if it is the same size.
     if (this.#canvas.width !== width || this.#canvas.height !== height) {
       [this.#canvas.width, this.#canvas.height] = [width, height];
-    } else if (!this.#isEmpty) {
+    } else {
       context.clearRect(0, 0, width, height);
     }
-    this.#isEmpty = true;
     return context;
-  }
-
-  /** Note that something was drawn. */
-  use() {
-    this.#isEmpty = false;
   }
 }

@@ -13,10 +13,9 @@ const FIRM_COUNTS = 250;
 // With reduced motion, pressure is averaged over about a third of a second.
 const CALM_SHARE = 1 / 18;
 
-/** For each of 128 pixels, the four taxels that it shows and the weight of each, by the Catmull-Rom cubic. */
+/** For each of 128 pixels, the weights of the eight taxels in its row or column, by the Catmull-Rom cubic. */
 const WEIGHTS = Array.from({ length: PIXELS }, (_, pixel) => {
   const at = ((pixel + 0.5) * SIDE) / PIXELS - 0.5;
-  const first = Math.floor(at) - 1;
   const t = at - Math.floor(at);
   const cubic = [
     ((2 - t) * t - 1) * t,
@@ -24,12 +23,12 @@ const WEIGHTS = Array.from({ length: PIXELS }, (_, pixel) => {
     ((4 - 3 * t) * t + 1) * t,
     (t - 1) * t * t,
   ];
-  return cubic.map((weight, i) => [Math.min(Math.max(first + i, 0), SIDE - 1), weight / 2]);
+  const weights = new Float32Array(SIDE);
+  cubic.forEach((weight, i) => {
+    weights[Math.min(Math.max(Math.floor(at) - 1 + i, 0), SIDE - 1)] += weight / 2;
+  });
+  return weights;
 });
-// In typed arrays, which are quicker to read than nested ones.
-const TAPS = 4;
-const TAXELS = Uint8Array.from(WEIGHTS.flat(), ([taxel]) => taxel);
-const SHARES = Float32Array.from(WEIGHTS.flat(), ([, share]) => share);
 
 /** Return the theme's colours of pressure, one packed pixel a shade. */
 export function shades(style = getComputedStyle(document.documentElement)) {
@@ -89,7 +88,6 @@ export class Trail {
     for (let i = 1; i < trail.length; i++) {
       const [[, row, column], [, nextRow, nextColumn]] = [trail[i - 1], trail[i]];
       if (row === null || nextRow === null) continue;
-      this.#canvas.use();
       context.globalAlpha = (i / trail.length) ** 2;
       context.beginPath();
       context.moveTo(at(column), at(row));
@@ -132,32 +130,24 @@ export class HeatMap {
       const level = levelOf(pressure[taxel]);
       this.#levels[taxel] += (level - this.#levels[taxel]) * share;
     }
-    this.#stretchRows();
-    this.#stretchColumns();
+    this.#stretch();
     this.#context.putImageData(this.#image, 0, 0);
   }
 
-  #stretchRows() {
+  #stretch() {
+    const [levels, rows, pixels, shades] = [this.#levels, this.#rows, this.#pixels, this.#shades];
     for (let row = 0; row < SIDE; row++) {
       for (let x = 0; x < PIXELS; x++) {
         let level = 0;
-        for (let i = TAPS * x; i < TAPS * (x + 1); i++) level += SHARES[i] * this.#levels[row * SIDE + TAXELS[i]];
-        this.#rows[row * PIXELS + x] = level;
+        for (let taxel = 0; taxel < SIDE; taxel++) level += WEIGHTS[x][taxel] * levels[row * SIDE + taxel];
+        rows[row * PIXELS + x] = level;
       }
     }
-  }
-
-  #stretchColumns() {
-    const [rows, pixels, shades] = [this.#rows, this.#pixels, this.#shades];
     for (let y = 0; y < PIXELS; y++) {
-      const [first, second, third, fourth] = SHARES.subarray(TAPS * y, TAPS * (y + 1));
-      const [a, b, c, d] = TAXELS.subarray(TAPS * y, TAPS * (y + 1));
+      const weights = WEIGHTS[y];
       for (let x = 0; x < PIXELS; x++) {
-        const level =
-          first * rows[a * PIXELS + x] +
-          second * rows[b * PIXELS + x] +
-          third * rows[c * PIXELS + x] +
-          fourth * rows[d * PIXELS + x];
+        let level = 0;
+        for (let row = 0; row < SIDE; row++) level += weights[row] * rows[row * PIXELS + x];
         // The cubic overshoots a little beside a steep edge.
         const shade = level < 0 ? 0 : level > 1 ? 1 : level;
         pixels[y * PIXELS + x] = shades[(shade * (SHADES - 1) + 0.5) | 0];

@@ -38,7 +38,6 @@ export class TimeLine {
     const points = store.trace.filter(([at]) => at >= 0 && at <= end);
     if (points.length === 0) return;
     const peak = points.reduce((most, [, load]) => Math.max(most, load), LIGHT_LOAD);
-    this.#canvas.use();
     const x = (at) => (at / end) * width;
     context.beginPath();
     context.moveTo(x(points[0][0]), height);
