@@ -23,7 +23,7 @@ from numpy.random import Generator, RandomState
 from numpy.typing import NDArray
 
 from touchd.daemon.path.events import UNCERTAIN, Event, Prediction
-from touchd.drivers.fakes.fabric import Fabric
+from touchd.drivers.fakes.hand import Fabric
 from touchd.drivers.fakes.pointers import Pointer, PressingHands
 from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, NO_TOUCH, OTHER, ROWS, Counts
 from touchd.drivers.pad.format import PadFormat, layout_of

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.random import RandomState
 from numpy.typing import NDArray
 
-from touchd.drivers.fakes.fabric import Fabric
+from touchd.drivers.fakes.hand import Fabric
 from touchd.drivers.fakes.pointers import Part, fingers
 from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
 from touchd.drivers.recording import Recording, ideal_clock_ms, write_recordings

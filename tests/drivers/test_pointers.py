@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 from rigs.haart_folder import BARE, needs_haart, recordings_of
 from rigs.visitors import KINDS, counts_of, named
 
-from touchd.drivers.fakes.fabric import Fabric
-from touchd.drivers.fakes.hand import PLAYED
+from touchd.drivers.fakes.hand import PLAYED, Fabric
 from touchd.drivers.fakes.pointers import Pointer, PressingHands
 from touchd.drivers.frame import FRAME_RATE_HZ, Counts
 from touchd.drivers.recording import Recording, read_recordings

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.random import RandomState
 
 from touchd.daemon.path.events import TouchEnded
-from touchd.drivers.fakes.fabric import Fabric
+from touchd.drivers.fakes.hand import Fabric
 from touchd.drivers.fakes.pointers import Pointer, PressingHands, Size
 from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS, Counts
 from touchd.model.classifier import Classifier

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from touchd.daemon.playback.stream import DEMO_RECORDING as DEMO
-from touchd.drivers.fakes.fabric import Fabric
+from touchd.drivers.fakes.hand import Fabric
 from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT
 from touchd.drivers.recording import Recording, read_recordings, splice
 from touchd.model.classifier import Classifier
