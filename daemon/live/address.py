@@ -19,7 +19,6 @@ log = logging.getLogger(__name__)
 SEND_BUFFER_BYTES = 16 * 1024
 EVERY_ADDRESS = ("0.0.0.0", "::")
 HIGHEST_PORT = 65535
-EXAMPLE_PORT = 8061
 
 
 class LiveError(TouchdError):
@@ -65,15 +64,14 @@ def listen(settings: LiveSettings) -> socket.socket:
 
 
 def _cannot_listen(host: str, port: int, error: OSError) -> LiveError:
-    if error.errno == errno.EADDRINUSE:
-        another = EXAMPLE_PORT if port != EXAMPLE_PORT else EXAMPLE_PORT + 1
-        why = f"another program does, perhaps another touchd; choose another port: --live {another}"
-    elif error.errno == errno.EACCES:
-        why = "ports below 1024 are the system's; choose a higher one"
-    elif error.errno == errno.EADDRNOTAVAIL:
-        why = "this computer has no such address; 127.0.0.1 is this computer alone, 0.0.0.0 the network too"
-    else:
-        why = f"{error.strerror}; choose another address"
+    another = 8061 if port != 8061 else 8062
+    known = {
+        errno.EADDRINUSE: f"another program does, perhaps another touchd; choose another: --live {another}",
+        errno.EACCES: "ports below 1024 are the system's; choose a higher one",
+        errno.EADDRNOTAVAIL: "this computer has no such address; 127.0.0.1 is this computer alone, "
+        "0.0.0.0 the network too",
+    }
+    why = known.get(error.errno or 0, f"{error.strerror}; choose another address")
     return LiveError(f"the live page cannot listen on {host} port {port}: {why}")
 
 

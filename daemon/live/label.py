@@ -23,12 +23,6 @@ class _Said(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     gesture: Annotated[str, msgspec.Meta(max_length=100)]
 
 
-class Advice(msgspec.Struct, frozen=True, tag_field="type", tag="advice"):
-    """What to do with the labels so far, for the viewer who gave the last one."""
-
-    text: str
-
-
 _decode = msgspec.json.Decoder(_Said).decode
 
 
@@ -55,7 +49,7 @@ class Labels:
         except LabelError:
             return "no such gesture"
         if advice:
-            broadcast([viewer], msgspec.json.encode(Advice(advice)).decode())
+            broadcast([viewer], msgspec.json.encode({"type": "advice", "text": advice}).decode())
         return ""
 
 

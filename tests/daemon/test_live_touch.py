@@ -85,20 +85,24 @@ def test_a_hand_on_the_demos_page_is_recognised(page: Chrome) -> None:
     assert page.find_element(By.CSS_SELECTOR, "#touches b").text == "still hand"
 
 
-def test_visitors_on_a_phone_can_read_every_line(page: Chrome) -> None:
+def test_visitors_on_a_phone_read_every_line_and_find_out(page: Chrome) -> None:
     shown = """
       const seen = [...document.querySelectorAll('.square, #tries, #legend')]
         .filter((one) => one.checkVisibility()).map((one) => one.getBoundingClientRect());
       return seen.map(({ top, bottom }) => [top, bottom]).sort((a, b) => a[0] - b[0]);
     """
     show_in(page, 390, 844)
-    page.find_element(By.ID, "enter").click()
+    button = page.find_element(By.ID, "enter")
+    button.click()
     try:
         wait_for(lambda: page.execute_script("return document.body.hasAttribute('data-visitors')"))
         places = page.execute_script(shown)
         assert all(above[1] <= below[0] for above, below in itertools.pairwise(places)), places
+        assert button.rect["width"] >= 40
+        assert button.rect["height"] >= 30
     finally:
-        page.find_element(By.ID, "enter").click()
+        button.click()
+        wait_for(lambda: page.find_element(By.ID, "vitals").is_displayed())
         show_in(page, 800, 600)
 
 
