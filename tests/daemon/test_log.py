@@ -11,7 +11,6 @@ from rigs.wait import WITHIN_S
 
 from touchd.daemon.app.cli import main
 from touchd.daemon.app.log import MOST_LINES, LogGate, LogWriter
-from touchd.daemon.doctor.check import Check
 from touchd.drivers.errors import MAX_LINE_BYTES, one_line
 
 HOSTILE = "one\nERROR root: forged\r\x1b]0;title\x07\x1b[2J\u202egnp.exe\x00\ud800\x9b31m"
@@ -23,10 +22,6 @@ def test_foreign_text_is_printable_and_short() -> None:
     assert said.startswith(r"one\nERROR root: forged\r\x1b]0;title\x07\x1b[2J\u202egnp.exe\x00\ud800\x9b31m")
     assert len(said.encode()) <= MAX_LINE_BYTES
     assert one_line("grün: 触れる ✓") == "grün: 触れる ✓"
-
-
-def test_a_check_shows_what_a_robot_answered_printably() -> None:
-    assert Check("robot", "ok", f"NAOqi {HOSTILE}").found.isprintable()
 
 
 def test_every_written_line_has_passed_the_gate() -> None:

@@ -14,17 +14,6 @@ from touchd.drivers.pad.clock import ArrivalClock, PadClock
 STILL = np.zeros((8, 8), np.uint16)
 
 
-@pytest.mark.parametrize("restart_ms", [0, 3, 1_000_000])
-def test_after_a_reboot_no_frame_is_lost(restart_ms: int) -> None:
-    parser = FabricGrid()
-    before = parser.feed(packets(range(3)), 0.0)
-    after = [frame for number in range(4) for frame in parser.feed(packet(number, restart_ms), float(number))]
-    assert_are(before, range(3))
-    assert_are(after, range(4), restart_ms)
-    assert [frame.host_s for frame in after] == [0.0, 1.0, 2.0, 3.0]
-    assert parser.counts.bad == 0
-
-
 @pytest.mark.parametrize("first_ms", [5000, 2**32 - 30], ids=["", "over the wrap after 49 days"])
 @pytest.mark.parametrize(("step_ms", "is_late"), [(1, False), (250, False), (251, True)])
 def test_a_frame_is_on_time_for_a_quarter_second(step_ms: int, is_late: bool, first_ms: int) -> None:

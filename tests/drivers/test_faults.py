@@ -76,19 +76,26 @@ def lines(caplog: pytest.LogCaptureFixture, *lasting_s: tuple[float, float]) -> 
     return [f"{record.levelname} {record.message}" for record in caplog.records]
 
 
-def test_a_fault_is_logged_when_it_begins_and_ends(caplog: pytest.LogCaptureFixture) -> None:
-    assert lines(caplog, (5.0, 9.0)) == ["WARNING pad: gone", "INFO pad: back (after 4.0 s)"]
+GONE, BACK = "WARNING pad: gone", "INFO pad: back (after {} s)"
 
 
-def test_a_fault_that_returns_soon_is_logged_if_it_lasts(caplog: pytest.LogCaptureFixture) -> None:
-    assert len(lines(caplog, (0, 1), (20, AGAIN_S - 1))) == 2
-    caplog.clear()
-    said = lines(caplog, (0, 1), (20, AGAIN_S + 1))
-    assert said[2:] == ["WARNING pad: gone", "INFO pad: back (after 281.0 s)"]
-
-
-def test_a_fault_that_lasts_all_day_is_one_warning(caplog: pytest.LogCaptureFixture) -> None:
-    assert len(lines(caplog, (0, 86_400))) == 2
+@pytest.mark.parametrize(
+    ("lasting_s", "logged"),
+    [
+        pytest.param([(5.0, 9.0)], [GONE, BACK.format("4.0")], id="once"),
+        pytest.param([(0, 86_400)], [GONE, BACK.format("86400.0")], id="all day"),
+        pytest.param([(0, 1), (20, AGAIN_S - 1)], [GONE, BACK.format("1.0")], id="again soon"),
+        pytest.param(
+            [(0, 1), (20, AGAIN_S + 1)],
+            [GONE, BACK.format("1.0"), GONE, BACK.format("281.0")],
+            id="again soon, and it lasts",
+        ),
+    ],
+)
+def test_a_fault_is_logged_when_it_begins_and_ends(
+    caplog: pytest.LogCaptureFixture, lasting_s: list[tuple[float, float]], logged: list[str]
+) -> None:
+    assert lines(caplog, *lasting_s) == logged
 
 
 def test_another_cause_is_a_warning_once(caplog: pytest.LogCaptureFixture) -> None:

@@ -230,16 +230,6 @@ def test_a_quiet_udp_pad_is_read_as_fast_as_it_sends() -> None:
     assert frame.host_s - sent_s < 2.0
 
 
-def test_datagrams_are_passed_on_at_once_and_empty_ones_ignored() -> None:
-    parser = FabricGrid()
-    with udp_pad() as (address, give), open_port(address, 9600) as opened:
-        give(b"")
-        give(PACKETS[0])
-        begun_s = time.monotonic()
-        assert [read_waiting(opened, parser) for _ in range(2)] == [b"", PACKETS[0]]
-        assert time.monotonic() - begun_s < 0.08
-
-
 def test_resetting_the_input_drops_all_earlier_datagrams() -> None:
     with udp_pad() as (address, give), open_port(address, 9600) as opened:
         for packet in PACKETS[:3]:
@@ -247,17 +237,6 @@ def test_resetting_the_input_drops_all_earlier_datagrams() -> None:
         opened.reset_input_buffer()
         give(PACKETS[3])
         assert read_waiting(opened, FabricGrid()) == PACKETS[3]
-
-
-def test_a_udp_pad_is_found_again_after_silence() -> None:
-    with udp_pad() as (address, give), sensing(address) as queue:
-        for first in (0, 200):
-            send(give, range(first, first + 50))
-            assert next_state(queue).state == "up"
-            assert len(next_frames(queue, 20)) == 20
-            while (state := next_state(queue)).state != "down":
-                pass
-            assert state.reason.startswith(f"{address}: no data for 0.5 s")
 
 
 @pytest.mark.parametrize("stray", [b"", b"hello", PACKETS[0][:50]], ids=["empty", "text", "half a frame"])

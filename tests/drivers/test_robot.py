@@ -1,7 +1,6 @@
 """Events and actions on the robot, faults, logins and endings: our session and qi's."""
 
 import logging
-import socket
 import sys
 import threading
 import time
@@ -314,15 +313,6 @@ def test_an_action_that_takes_too_long_is_cut_and_reported(
     )
 
 
-def test_the_heartbeat_works_without_its_service(either: str) -> None:
-    limits = RobotLimits(heartbeat_s=0.02)
-    with Robot(without=["ALSystem"]) as robot, linked(robot, client=either, limits=limits) as (link, states):
-        states.wait_for("up")
-        time.sleep(0.1)
-        hears(robot, link, "stroke")
-        states.wait_for("up")
-
-
 @pytest.mark.parametrize("is_right", [True, False])
 def test_a_login_connects_if_it_is_right_and_never_shows_the_token(
     is_right: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture, either: str
@@ -376,15 +366,6 @@ def test_stopping_ends_soon_and_leaves_no_thread(state: str, either: str) -> Non
         link.stop()
         assert time.monotonic() - started_s < AT_ONCE_S
         assert link_threads() == []
-
-
-def test_a_silent_listener_is_down_and_can_be_disconnected(either: str) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as mute, Robot() as robot:
-        url = f"tcp://127.0.0.1:{mute.getsockname()[1]}"
-        with linked(robot, client=either, url=url, limits=RobotLimits(connect_s=0.3)) as (_, states):
-            assert "connecting: no answer" in states.wait_for("down")
-            started_s = time.monotonic()
-        assert time.monotonic() - started_s < AT_ONCE_S
 
 
 def test_only_a_robot_with_the_pinned_certificate_gets_the_token(tmp_path: Path) -> None:

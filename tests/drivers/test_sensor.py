@@ -272,25 +272,6 @@ def test_bytes_without_frames_are_reported_until_frames_come(
         assert_is_over(queue, caplog, "WARNING", "INFO")
 
 
-def test_a_replugged_pad_is_found_by_its_link(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    link = tmp_path / "touchd-pad"
-    first, second = (FakePort(stream_of(), encode_fabric_grid) for _ in range(2))
-    link.symlink_to(first.path)
-    # The pause between two retries has grown to the daemon's maximum.
-    with sensing(str(link), longest_retry_s=1.0) as queue:
-        first.start()
-        next_frames(queue, 5)
-        first.stop()
-        link.unlink()
-        assert "touchd-pad" in next_state(queue).reason
-        time.sleep(0.8)
-        link.symlink_to(second.path)
-        second.start()
-        assert_is_over(queue, caplog, "INFO", "WARNING", "INFO")
-        next_frames(queue, 1)
-    second.stop()
-
-
 def test_a_loose_plug_is_warned_of_once(caplog: pytest.LogCaptureFixture, tmp_path: Path) -> None:
     link = tmp_path / "touchd-pad"
     with sensing(str(link)) as queue:

@@ -108,13 +108,6 @@ def test_ready_is_sent_once_the_pads_state_is_known(manager: Manager, watched: W
     assert manager.received().count("READY=1") == 1
 
 
-def test_the_manager_learns_that_the_daemon_stops(manager: Manager, watched: Watched) -> None:
-    assert not watched.must_stop()
-    watched.asked.append(True)
-    assert watched.must_stop()
-    assert manager.received() == ["STOPPING=1"]
-
-
 def test_the_watchdog_is_fed_while_the_pad_is_away(manager: Manager, watched: Watched) -> None:
     watched.pad.is_up = False
     watched.must_stop()
@@ -357,30 +350,17 @@ def told_of(vendor: str, product: str) -> dict[str, str]:
 @pytest.mark.parametrize(
     ("vendor", "product", "has_name"),
     [
-        ("2341", "0042", True),
-        ("2a03", "0042", True),
-        ("16c0", "0483", True),
-        ("2341", "0043", False),
-        ("2341", "8036", False),
-        ("2e8a", "000a", False),
-        ("303a", "1001", False),
-        ("10c4", "ea60", False),
-        ("0403", "6001", False),
-        ("1a86", "7523", False),
-        ("1a86", "55d4", False),
-    ],
-    ids=[
-        "Mega",
-        "Mega.org",
-        "Teensy",
-        "Uno",
-        "Leonardo",
-        "RP2040",
-        "ESP32-S3",
-        "CP210x",
-        "FTDI",
-        "CH340",
-        "CH9102",
+        pytest.param("2341", "0042", True, id="Mega"),
+        pytest.param("2a03", "0042", True, id="Mega.org"),
+        pytest.param("16c0", "0483", True, id="Teensy"),
+        pytest.param("2341", "0043", False, id="Uno"),
+        pytest.param("2341", "8036", False, id="Leonardo"),
+        pytest.param("2e8a", "000a", False, id="RP2040"),
+        pytest.param("303a", "1001", False, id="ESP32-S3"),
+        pytest.param("10c4", "ea60", False, id="CP210x"),
+        pytest.param("0403", "6001", False, id="FTDI"),
+        pytest.param("1a86", "7523", False, id="CH340"),
+        pytest.param("1a86", "55d4", False, id="CH9102"),
     ],
 )
 def test_modem_commands_are_kept_from_the_usual_boards(vendor: str, product: str, has_name: bool) -> None:
