@@ -62,6 +62,7 @@ def test_a_late_viewer_gets_the_current_state(served: Served, viewer: ClientConn
     assert state["sensor"]["state"] == "up"
     assert state["model"] == served.models["pad"].name
     assert state["answer_at_frames"] == [54, 81, 144]
+    assert (state["touchable"], state["may_label"]) == (False, False)
 
 
 def test_the_memory_for_late_viewers_is_bounded() -> None:

@@ -415,20 +415,14 @@ def look_at(chrome: Chrome, served: Served, anchor: str = "") -> None:
 
 
 SIZES = ((1280, 800), (1920, 1080), (800, 600), (390, 844), (390, 664), (360, 640), (667, 375), (844, 390))
-# The colour scheme hardly affects the layout, so the quick suite alternates between schemes.
-LOOKS = [
-    pytest.param(*size, scheme, marks=pytest.mark.slow if (number + dark) % 2 else [])
-    for number, size in enumerate(SIZES)
-    for dark, scheme in enumerate(("light", "dark"))
-]
 
 
-@pytest.mark.parametrize(("width", "height", "scheme"), LOOKS)
+@pytest.mark.parametrize(("width", "height"), SIZES)
 def test_nothing_overflows_with_the_longest_words(
-    chrome: Chrome, worded: Served, width: int, height: int, scheme: str
+    chrome: Chrome, worded: Served, width: int, height: int
 ) -> None:
     show_in(chrome, width, height)
-    prefer(chrome, color_scheme=scheme, reduced_motion="reduce")
+    prefer(chrome, reduced_motion="reduce")
     for anchor in ("", "#visitors"):
         look_at(chrome, worded, anchor)
         wait_for(lambda: chrome.execute_script(OUTSIDE) == [], SOON_S)

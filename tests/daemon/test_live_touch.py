@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from rigs.browser import show_in
-from rigs.live_rig import Served
 from rigs.programs import TOUCHD, Program
 from rigs.running_daemon import SERVED
 from rigs.sensor_rig import next_frames, sensing
@@ -223,15 +222,6 @@ def test_the_hand_goes_on_when_nobody_touches(fake_pad: FakePad) -> None:
     invitation = fake_pad.chrome.find_element(By.ID, "invitation")
     wait_for(lambda: next_frames(fake_pad.frames, 1)[0].pressure.max() > 50)
     wait_for(lambda: invitation.text == "Touch here", fake_hand.ALONE_S + SOON_S)
-
-
-def test_nobody_can_touch_or_label_on_a_page_that_is_not_asked_to(served: Served) -> None:
-    with served.look() as viewer:
-        state = json.loads(viewer.recv(timeout=WITHIN_S))
-        assert (state["touchable"], state["may_label"]) == (False, False)
-        viewer.send(TOUCH)
-        with pytest.raises(ConnectionClosed, match="nothing is read here"):
-            viewer.recv(timeout=WITHIN_S)
 
 
 @pytest.mark.parametrize(

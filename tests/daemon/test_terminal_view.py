@@ -187,15 +187,6 @@ def test_the_view_has_room_for_any_gestures(gestures: list[str]) -> None:
     assert any(gestures[-1][:12] in line and "50%" in line for line in lines)
 
 
-def test_gestures_have_the_configured_names() -> None:
-    view, console = view_of(120, 40, language="de")
-    touch(view)
-    shown = "\n".join(screen(view, console))
-    assert "↻ Streicheln 81% ✓" in shown
-    assert "Kitzeln" in shown
-    assert "Last touches" in shown
-
-
 @pytest.mark.parametrize("language", ["en", "de"])
 @pytest.mark.parametrize("size", [(80, 24), (60, 18), (120, 40)])
 def test_every_key_that_labels_a_touch_is_shown(size: tuple[int, int], language: Language) -> None:

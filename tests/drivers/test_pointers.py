@@ -103,23 +103,8 @@ def pressed_by(pointer: Pointer, frames: int) -> float:
     return float([hands.frame({1: pointer}) for _ in range(frames)][-1].max())
 
 
-def test_a_pens_pressure_counts() -> None:
-    light, firm = (pressed_by(Pointer(3.5, 3.5, "finger", share), 54) for share in (0.2, 0.9))
-    assert firm > 3 * light > 0
-
-
 def test_a_mouse_presses_harder_where_it_stays() -> None:
     assert pressed_by(Pointer(3.5, 3.5, "hand"), 54) > 1.5 * pressed_by(Pointer(3.5, 3.5, "hand"), 8)
-
-
-def test_two_fingers_press_in_two_places() -> None:
-    hands = PressingHands(RandomState(1))
-    places = {1: Pointer(1.0, 1.0, "finger"), 2: Pointer(6.0, 6.0, "finger")}
-    for _ in range(20):
-        pressed = hands.frame(places)
-    assert pressed[1, 1] > 5
-    assert pressed[6, 6] > 5
-    assert pressed[1, 6] < 0.1
 
 
 def test_a_hand_that_left_presses_no_more() -> None:

@@ -1,11 +1,9 @@
-"""A real headless browser, for the live page's tests and its picture."""
+"""A real headless browser, for the live page's tests."""
 
-import base64
 import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 from selenium.webdriver import Chrome, ChromeOptions
 from selenium.webdriver.chrome.service import Service
@@ -50,9 +48,9 @@ def browser() -> Iterator[Chrome]:
             chrome.quit()
 
 
-def show_in(chrome: Chrome, width: int, height: int, scale: float = 1.0) -> None:
+def show_in(chrome: Chrome, width: int, height: int) -> None:
     """Set the window's size in CSS pixels; a narrow one is a phone."""
-    metrics = {"width": width, "height": height, "deviceScaleFactor": scale, "mobile": width < 600}
+    metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
     chrome.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
 
 
@@ -62,9 +60,3 @@ def prefer(chrome: Chrome, **features: str) -> None:
         {"name": f"prefers-{name.replace('_', '-')}", "value": value} for name, value in features.items()
     ]
     chrome.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": wanted})
-
-
-def picture(chrome: Chrome, path: Path) -> None:
-    """Save the window's contents as PNG."""
-    shown = chrome.execute_cdp_cmd("Page.captureScreenshot", {"format": "png"})
-    path.write_bytes(base64.b64decode(shown["data"]))

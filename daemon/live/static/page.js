@@ -1,16 +1,16 @@
 // Passes messages to the parts that show them, and draws only when something has arrived.
 
 import "./older.js";
-import { Announcer } from "./announce.js";
+import { announce } from "./announce.js";
 import { describePressure, HeatMap, showMarks, Trail } from "./heat.js";
-import { Labels } from "./label.js";
+import { followChoice, showAdvice, showLabels, useLabels } from "./label.js";
 import { TimeLine } from "./line.js";
 import { connect } from "./link.js";
 import * as show from "./show.js";
 import { PadSwitch } from "./pads.js";
 import { padOf, Store } from "./store.js";
 import { Touch } from "./touch.js";
-import { Visitors } from "./visitors.js";
+import { followVisitors, showLegend } from "./visitors.js";
 import { answerOf, useNames } from "./words.js";
 
 // Frames come every 18 ms; without one for this long, the picture is outdated.
@@ -31,7 +31,6 @@ const pads = new PadSwitch($("pads"), (name) => {
 const heat = new HeatMap($("heat"), $("scale"));
 const trail = new Trail($("trail"), drawSoon);
 const line = new TimeLine($("trace"), $("marks"), $("flags"), drawSoon);
-const announcer = new Announcer($("announcement"));
 
 let link = "";
 let stamp = null;
@@ -40,7 +39,7 @@ let trouble = "";
 let isDue = false;
 let hasEvent = true;
 let hasLive = false;
-const visitors = new Visitors($("enter"), $("legend"), drawSoon);
+followVisitors(drawSoon);
 
 function draw() {
   isDue = false;
@@ -53,8 +52,8 @@ function draw() {
   if (hasEvent || hasLive) show.showChances(store);
   if (hasEvent) {
     show.showAnswer(store);
-    labels.show(store);
-    show.showTouches(store, labels);
+    showLabels(store);
+    show.showTouches(store);
   }
   hasEvent = hasLive = false;
 }
@@ -74,18 +73,18 @@ function watch() {
   if (now !== trouble) {
     trouble = now;
     show.showTrouble(trouble);
-    announcer.say("trouble", trouble || "All is well again.");
+    announce("trouble", trouble || "All is well again.");
   }
 }
 
 /** Announce a touch's answer if it is the first one, or has changed. */
-function announce(prediction) {
+function announceAnswer(prediction) {
   const said = `${prediction.pad} ${prediction.touch} ${prediction.gesture}`;
   if (said === announced) return;
   announced = said;
   const answer = answerOf(prediction);
   const where = stores.size > 1 ? ` (${prediction.pad})` : "";
-  announcer.say("answer", `${prediction.touch}${where}: ${answer}`);
+  announce("answer", `${prediction.touch}${where}: ${answer}`);
 }
 
 /** Keep a store for each pad; the first is shown large until another is chosen. */
@@ -109,17 +108,17 @@ function onMessage(message) {
     link = "live";
     usePads(message.pads);
     useNames(message);
-    visitors.use(message);
+    showLegend(message);
     touch.use(message.touchable);
-    labels.use(message);
+    useLabels(message, send);
     document.body.toggleAttribute("data-pad-only", message.labels.length === 0);
   }
   if (message.type === "advice") {
-    labels.advise(message.text);
+    showAdvice(message.text);
     return;
   }
   for (const told of message.pad === undefined ? stores.values() : [stores.get(message.pad)]) told.apply(message);
-  if (message.type === "prediction") announce(message);
+  if (message.type === "prediction") announceAnswer(message);
   if (message.type === "live_prediction") hasLive = true;
   else if (message.type !== "status") hasEvent = true;
   if (message.type === "status") watch();
@@ -130,7 +129,7 @@ const send = connect(onMessage, (why) => {
   link = why;
   watch();
 });
-const labels = new Labels($("labels"), $("advice"), $("touches"), send, () => {
+followChoice(() => {
   hasEvent = true;
   drawSoon();
 });

@@ -1,5 +1,6 @@
 // Everything in words and bars: the answer, the probabilities, the last touches, and the status.
 
+import { areLabelsTaken, isChosen } from "./label.js";
 import { answerOf, nameOf, percent, replacedBy, saidAt, seconds, timeOfDay, wordsOf } from "./words.js";
 
 const ENDINGS = {
@@ -125,19 +126,19 @@ function makeBar() {
 }
 
 /** List the touches; those that can be labelled from here are chosen by a button. */
-export function showTouches(store, labels) {
+export function showTouches(store) {
   const list = $("touches");
   const { scrollTop } = list;
   const focused = list.contains(document.activeElement) && document.activeElement.value;
   const ended = store.touches.filter((touch) => touch.ended !== null).reverse();
   list.replaceChildren(
-    ...(ended.length ? ended.map((touch) => row(touch, store, labels)) : [make("li", "path", "none yet")]),
+    ...(ended.length ? ended.map((touch) => row(touch, store)) : [make("li", "path", "none yet")]),
   );
   list.scrollTop = scrollTop;
   if (focused) list.querySelector(`[value="${focused}"]`)?.focus({ preventScroll: true });
 }
 
-function row({ began, predictions, ended }, { scene, said }, labels) {
+function row({ began, predictions, ended }, { scene, said }) {
   const length = seconds(Number((ended.frames / scene.frame_rate_hz).toFixed(1)));
   const path = make("span", "path");
   let before = null;
@@ -151,10 +152,10 @@ function row({ began, predictions, ended }, { scene, said }, labels) {
   if (said.has(began.touch)) path.append(make("em", "label", ` = ${nameOf(said.get(began.touch))}`));
   if (ended.reason !== "released") path.append(` · ${ENDINGS[ended.reason] ?? ended.reason}`);
   let name = ended.gesture === predictions.at(-1)?.gesture ? wordsOf(predictions.at(-1)) : nameOf(ended.gesture);
-  if (labels.areTaken) {
+  if (areLabelsTaken()) {
     name = make("button", "", name);
     Object.assign(name, { type: "button", value: began.touch });
-    name.setAttribute("aria-pressed", labels.isChosen(began));
+    name.setAttribute("aria-pressed", isChosen(began));
   }
   return make(
     "li",

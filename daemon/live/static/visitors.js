@@ -3,53 +3,43 @@
 import { seconds } from "./words.js";
 
 const HASH = "#visitors";
+const button = document.getElementById("enter");
+const { body } = document;
 
-export class Visitors {
-  #button;
-  #legend;
-  #onChange;
-
-  constructor(button, legend, onChange) {
-    this.#button = button;
-    this.#legend = legend;
-    this.#onChange = onChange;
-    button.addEventListener("click", () => this.#toggle());
-    document.addEventListener("keydown", ({ key, ctrlKey, metaKey, altKey }) => {
-      if (key === "v" && !ctrlKey && !metaKey && !altKey) this.#toggle();
-    });
-    document.addEventListener("fullscreenchange", () => {
-      if (!document.fullscreenElement) this.#show(false);
-    });
-    addEventListener("hashchange", () => this.#show(location.hash === HASH));
-    this.#show(location.hash === HASH);
+/** Switch the view by its button, by the key v, or by the address. onChange: called when it has switched. */
+export function followVisitors(onChange) {
+  function show(isShown) {
+    body.toggleAttribute("data-visitors", isShown);
+    button.setAttribute("aria-pressed", isShown);
+    button.setAttribute("aria-label", isShown ? "Leave the visitors' view" : "Visitors");
+    button.textContent = isShown ? "✕" : "Visitors";
+    history.replaceState(null, "", isShown ? HASH : location.pathname);
+    onChange();
   }
 
-  /** Fill the legend with the scene's marks. */
-  use(scene) {
-    const marks = scene.answer_at_frames.map((frames) => seconds(frames / scene.frame_rate_hz));
-    const list = new Intl.ListFormat("en", { style: "long" }).format(marks);
-    this.#legend.textContent =
-      `The stronger the colour, the firmer the touch. touchd names what your hand does after ${list}. ↻ marks a change of mind, ✓ what the robot was told.`;
-  }
-
-  get #isShown() {
-    return document.body.hasAttribute("data-visitors");
-  }
-
-  #toggle() {
-    const isShown = !this.#isShown;
-    this.#show(isShown);
+  function toggle() {
+    const isShown = !body.hasAttribute("data-visitors");
+    show(isShown);
     // A page may be refused full screen; the view works without it.
     if (isShown) document.documentElement.requestFullscreen?.().catch(() => {});
     else if (document.fullscreenElement) document.exitFullscreen();
   }
 
-  #show(isShown) {
-    document.body.toggleAttribute("data-visitors", isShown);
-    this.#button.setAttribute("aria-pressed", isShown);
-    this.#button.textContent = isShown ? "✕" : "Visitors";
-    this.#button.setAttribute("aria-label", isShown ? "Leave the visitors' view" : "Visitors");
-    history.replaceState(null, "", isShown ? HASH : location.pathname);
-    this.#onChange();
-  }
+  button.addEventListener("click", toggle);
+  document.addEventListener("keydown", ({ key, ctrlKey, metaKey, altKey }) => {
+    if (key === "v" && !ctrlKey && !metaKey && !altKey) toggle();
+  });
+  document.addEventListener("fullscreenchange", () => {
+    if (!document.fullscreenElement) show(false);
+  });
+  addEventListener("hashchange", () => show(location.hash === HASH));
+  show(location.hash === HASH);
+}
+
+/** Fill the legend with the scene's marks. */
+export function showLegend(scene) {
+  const marks = scene.answer_at_frames.map((frames) => seconds(frames / scene.frame_rate_hz));
+  const list = new Intl.ListFormat("en", { style: "long" }).format(marks);
+  document.getElementById("legend").textContent =
+    `The stronger the colour, the firmer the touch. touchd names what your hand does after ${list}. ↻ marks a change of mind, ✓ what the robot was told.`;
 }
