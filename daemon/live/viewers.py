@@ -81,9 +81,9 @@ class Viewers:
 
     def tell(self, message: str) -> None:
         """Send a message that no viewer may miss."""
-        for viewer in self._all:
-            if _waiting_bytes(viewer) > MOST_WAITING_BYTES:
-                viewer.transport.abort()
+        for viewer in [one for one in self._all if _waiting_bytes(one) > MOST_WAITING_BYTES]:
+            viewer.transport.abort()
+            self.discard(viewer)
         broadcast(self._all, message)
 
     def show(self, message: str | bytes) -> None:

@@ -9,7 +9,7 @@ import { connect } from "./link.js";
 import * as show from "./show.js";
 import { PadSwitch } from "./pads.js";
 import { padOf, Store } from "./store.js";
-import { Touch } from "./touch.js";
+import { useTouch } from "./touch.js";
 import { followVisitors, showLegend } from "./visitors.js";
 import { answerOf, useNames } from "./words.js";
 
@@ -109,7 +109,7 @@ function onMessage(message) {
     usePads(message.pads);
     useNames(message);
     showLegend(message);
-    touch.use(message.touchable);
+    useTouch(message.touchable, send);
     useLabels(message, send);
     document.body.toggleAttribute("data-pad-only", message.labels.length === 0);
   }
@@ -133,8 +133,6 @@ followChoice(() => {
   hasEvent = true;
   drawSoon();
 });
-const size = () => document.querySelector("[name=size]:checked").value;
-const touch = new Touch(document.querySelector(".square"), $("invitation"), size, send);
 showMarks($("counts"));
 setInterval(watch, WATCH_MS);
 setInterval(() => {

@@ -6,92 +6,75 @@ const ALONE_MS = 20_000;
 const AGAIN_MS = 100;
 const MOST_POINTERS = 10;
 
-export class Touch {
-  #square;
-  #invitation;
-  #send;
-  #pointers = new Map();
-  #isDue = false;
-  #again = 0;
-  #alone = 0;
-  #isTouchable = false;
-  #size;
+const square = document.querySelector(".square");
+const invitation = document.getElementById("invitation");
+const pointers = new Map();
+let isTouchable = false;
+let isDue = false;
+let again = 0;
+let alone = 0;
+let send = null;
 
-  /** square: the pad. invitation: shown until somebody touches. size: returns "hand" or "fingertips". */
-  constructor(square, invitation, size, send) {
-    this.#square = square;
-    this.#invitation = invitation;
-    this.#size = size;
-    this.#send = send;
-    // The simulated hand leaves as a mouse comes near, so that it is no part of the first touch.
-    square.addEventListener("pointerenter", () => this.#isTouchable && this.#soon());
-    square.addEventListener("pointerdown", (event) => this.#down(event));
-    square.addEventListener("pointermove", (event) => this.#move(event));
-    for (const end of ["pointerup", "pointercancel", "lostpointercapture"]) {
-      square.addEventListener(end, (event) => this.#up(event));
-    }
-    square.addEventListener("contextmenu", (event) => this.#isTouchable && event.preventDefault());
-  }
+/** Send what presses on the pad, if it can be touched; the invitation is shown until somebody touches it. */
+export function useTouch(canTouch, sendMessage) {
+  if (canTouch === isTouchable) return;
+  isTouchable = canTouch;
+  send = sendMessage;
+  document.body.toggleAttribute("data-touchable", isTouchable);
+  invitation.hidden = !isTouchable;
+}
 
-  use(isTouchable) {
-    if (isTouchable === this.#isTouchable) return;
-    this.#isTouchable = isTouchable;
-    document.body.toggleAttribute("data-touchable", isTouchable);
-    this.#invitation.hidden = !isTouchable;
-  }
-
-  #down(event) {
-    if (!this.#isTouchable || event.button !== 0 || this.#pointers.size >= MOST_POINTERS) return;
-    this.#square.setPointerCapture(event.pointerId);
-    this.#pointers.set(event.pointerId, event);
-    this.#invitation.hidden = true;
-    clearTimeout(this.#alone);
-    this.#soon();
-  }
-
-  #move(event) {
-    if (!this.#pointers.has(event.pointerId)) return;
-    this.#pointers.set(event.pointerId, event);
-    this.#soon();
-  }
-
-  #up(event) {
+// The simulated hand leaves as a mouse comes near, so that it is no part of the first touch.
+square.addEventListener("pointerenter", () => isTouchable && soon());
+square.addEventListener("contextmenu", (event) => isTouchable && event.preventDefault());
+square.addEventListener("pointerdown", (event) => {
+  if (!isTouchable || event.button !== 0 || pointers.size >= MOST_POINTERS) return;
+  square.setPointerCapture(event.pointerId);
+  pointers.set(event.pointerId, event);
+  invitation.hidden = true;
+  clearTimeout(alone);
+  soon();
+});
+square.addEventListener("pointermove", (event) => {
+  if (!pointers.has(event.pointerId)) return;
+  pointers.set(event.pointerId, event);
+  soon();
+});
+for (const end of ["pointerup", "pointercancel", "lostpointercapture"]) {
+  square.addEventListener(end, (event) => {
     // Send the press of a click that begins and ends between two pictures.
-    if (this.#isDue) this.#tell();
-    if (!this.#pointers.delete(event.pointerId)) return;
-    clearTimeout(this.#alone);
-    if (this.#pointers.size === 0) {
-      this.#alone = setTimeout(() => {
-        this.#invitation.hidden = false;
-      }, ALONE_MS);
-    }
-    this.#tell();
-  }
+    if (isDue) tell();
+    if (!pointers.delete(event.pointerId)) return;
+    clearTimeout(alone);
+    if (pointers.size === 0) alone = setTimeout(() => (invitation.hidden = false), ALONE_MS);
+    tell();
+  });
+}
 
-  #soon() {
-    if (this.#isDue) return;
-    this.#isDue = true;
-    requestAnimationFrame(() => this.#isDue && this.#tell());
-  }
+function soon() {
+  if (isDue) return;
+  isDue = true;
+  requestAnimationFrame(() => isDue && tell());
+}
 
-  #tell() {
-    this.#isDue = false;
-    clearTimeout(this.#again);
-    const { left, top, width, height } = this.#square.getBoundingClientRect();
-    const at = [];
-    let isFinger = this.#pointers.size > 1;
-    for (const { pointerId, clientX, clientY, pressure, pointerType } of this.#pointers.values()) {
-      const [x, y] = [(clientX - left) / width, (clientY - top) / height];
-      isFinger ||= pointerType === "pen";
-      // Beyond the edge the hand has left the pad.
-      if (x < 0 || x > 1 || y < 0 || y > 1) continue;
-      // A mouse, and a screen that measures no pressure, report a constant.
-      const isMeasured = pointerType === "pen" || (pointerType === "touch" && ![0, 0.5, 1].includes(pressure));
-      at.push([pointerId >>> 0, round(x), round(y), isMeasured ? round(Math.min(pressure, 1)) : null]);
-    }
-    this.#send(JSON.stringify({ size: isFinger ? "finger" : this.#size(), at }));
-    if (this.#pointers.size > 0) this.#again = setTimeout(() => this.#tell(), AGAIN_MS);
+function tell() {
+  isDue = false;
+  clearTimeout(again);
+  const { left, top, width, height } = square.getBoundingClientRect();
+  const at = [];
+  let isFinger = pointers.size > 1;
+  for (const { pointerId, clientX, clientY, pressure, pointerType } of pointers.values()) {
+    const [x, y] = [(clientX - left) / width, (clientY - top) / height];
+    isFinger ||= pointerType === "pen";
+    // Beyond the edge the hand has left the pad.
+    if (x < 0 || x > 1 || y < 0 || y > 1) continue;
+    // A mouse, and a screen that measures no pressure, report a constant.
+    const isMeasured = pointerType === "pen" || (pointerType === "touch" && ![0, 0.5, 1].includes(pressure));
+    at.push([pointerId >>> 0, round(x), round(y), isMeasured ? round(Math.min(pressure, 1)) : null]);
   }
+  const size = isFinger ? "finger" : document.querySelector("[name=size]:checked").value;
+  send(JSON.stringify({ size, at }));
+  if (pointers.size > 0) again = setTimeout(tell, AGAIN_MS);
 }
 
 const round = (value) => Math.round(value * 1000) / 1000;
