@@ -4,8 +4,7 @@ Python's qi can be a client of such a robot but not the server, so this does the
 TLS, checks the login in the first message, and then passes bytes through.
 """
 
-import logging
-import socket
+import asyncio
 import ssl
 import struct
 import threading
@@ -14,13 +13,9 @@ from typing import NamedTuple
 
 import trustme
 
-log = logging.getLogger(__name__)
-
 # libqi, messaging/message.hpp: magic, id, bytes that follow, version, type, flags, service, object, action.
 HEADER = struct.Struct("<IIIHBBIII")
-MAGIC = 0x42ADDE42
 TYPE_ERROR = 3
-MAX_FIRST_MESSAGE_BYTES = 64 * 1024
 
 
 class Login(NamedTuple):
@@ -41,59 +36,34 @@ class Gate:
         self._inner_port = inner_port
         self.login = login
         self.first_messages: list[bytes] = []
-        self._tls = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-        authority.issue_cert("nao").configure_cert(self._tls)
-        self._listener = socket.create_server(("127.0.0.1", port))
-        self._accepting = threading.Thread(target=self._accept, name="login-gate", daemon=True)
-        self._accepting.start()
+        tls = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        authority.issue_cert("nao").configure_cert(tls)
+        self._loop = asyncio.new_event_loop()
+        threading.Thread(target=self._loop.run_forever, name="login-gate", daemon=True).start()
+        serving = asyncio.start_server(self._serve, "127.0.0.1", port, ssl=tls)
+        self._server = asyncio.run_coroutine_threadsafe(serving, self._loop).result(5.0)
 
     def close(self) -> None:
-        # While a thread waits in accept, closing alone leaves the port taken.
-        with suppress(OSError):
-            self._listener.shutdown(socket.SHUT_RDWR)
-        self._accepting.join(5.0)
-        self._listener.close()
+        """Let nobody in any more."""
 
-    def _accept(self) -> None:
-        with suppress(OSError):
-            while True:
-                client, _ = self._listener.accept()
-                threading.Thread(target=self._serve, args=(client,), name="login-gate", daemon=True).start()
+        async def close() -> None:
+            self._server.close()
 
-    def _serve(self, plain: socket.socket) -> None:
-        try:
-            plain.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            with self._tls.wrap_socket(plain, server_side=True) as client:
-                first = _first_message(client)
-                self.first_messages.append(first)
-                if not _holds(first, self.login):
-                    client.sendall(_refusal(first))
-                    return
-                with socket.create_connection(("127.0.0.1", self._inner_port)) as server:
-                    server.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                    server.sendall(first)
-                    threading.Thread(target=_pump, args=(server, client), daemon=True).start()
-                    _pump(client, server)
-        except (OSError, ValueError) as error:
-            log.debug("a client was not let in, or left: %s", error)
+        asyncio.run_coroutine_threadsafe(close(), self._loop).result(5.0)
 
-
-def _first_message(client: socket.socket) -> bytes:
-    header = _read(client, HEADER.size)
-    magic, _, size, *_ = HEADER.unpack(header)
-    if magic != MAGIC or size > MAX_FIRST_MESSAGE_BYTES:
-        raise ValueError("not a qi message")
-    return header + _read(client, size)
-
-
-def _read(client: socket.socket, size: int) -> bytes:
-    parts = b""
-    while len(parts) < size:
-        part = client.recv(size - len(parts))
-        if not part:
-            raise ValueError("the client left")
-        parts += part
-    return parts
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        with suppress(OSError, asyncio.IncompleteReadError):
+            header = await reader.readexactly(HEADER.size)
+            first = header + await reader.readexactly(HEADER.unpack(header)[2])
+            self.first_messages.append(first)
+            if _holds(first, self.login):
+                inner_reader, inner_writer = await asyncio.open_connection("127.0.0.1", self._inner_port)
+                inner_writer.write(first)
+                await asyncio.gather(_pump(reader, inner_writer), _pump(inner_reader, writer))
+            else:
+                writer.write(_refusal(first))
+                await writer.drain()
+        writer.close()
 
 
 def _text(text: str) -> bytes:
@@ -116,10 +86,9 @@ def _refusal(message: bytes) -> bytes:
     return HEADER.pack(magic, number, len(reason), version, TYPE_ERROR, flags, service, of, action) + reason
 
 
-def _pump(source: socket.socket, sink: socket.socket) -> None:
-    with suppress(OSError, ValueError):
-        while data := source.recv(65536):
-            sink.sendall(data)
-    for end in (source, sink):
-        with suppress(OSError, ValueError):
-            end.shutdown(socket.SHUT_RDWR)
+async def _pump(source: asyncio.StreamReader, sink: asyncio.StreamWriter) -> None:
+    with suppress(OSError):
+        while data := await source.read(65536):
+            sink.write(data)
+            await sink.drain()
+    sink.close()
