@@ -230,7 +230,7 @@ def test_rosbridge_gets_the_topics_before_the_messages(tmp_path: Path) -> None:
     peer.start()
     bridge = peer.bridge()
     bridge.put(PREDICTION)
-    peer.await_received(1)
+    wait_for(lambda: peer.received)
     bridge.put_frame(frame(2), PAD)
     wait_for(lambda: len(peer.operations) == 6)
     bridge.stop(2.0)

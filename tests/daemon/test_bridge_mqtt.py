@@ -29,7 +29,7 @@ from touchd.daemon.path.events import SensorEvent, TouchEnded, encode
 from touchd.daemon.sinks.touches import decode
 from touchd.drivers.frame import NO_TOUCH
 
-MQTTv311 = pytest.importorskip("paho.mqtt.client").MQTTv311
+publishing = pytest.importorskip("paho.mqtt.publish")
 pytestmark = needs_mosquitto
 
 UP = SensorEvent(state="up", time=TIME)
@@ -85,6 +85,23 @@ def put(bridge: Bridge, number: int, messages: list[Any]) -> None:
     wait_for(lambda: len(payloads(messages)) == number)
 
 
+def publish(port: int, topic: str, payload: str) -> None:
+    """Publish as another program would."""
+    publishing.single(topic, payload, 1, hostname="127.0.0.1", port=port)
+
+
+def all_retained(port: int) -> dict[str, str]:
+    """Return the broker's retained messages by topic."""
+    with subscribed(port, "#") as messages:
+        publish(port, "end", "")
+        wait_for(lambda: any(message.topic == "end" for message in messages))
+    return {message.topic: message.payload.decode() for message in messages if message.retain}
+
+
+def retained(port: int, topic: str = "touchd/pad/state") -> str | None:
+    return all_retained(port).get(topic)
+
+
 def test_the_pads_own_events_come_with_qos_1(messages: list[Any], opened: Open) -> None:
     bridge = opened()
     events = [UP, touch(1), PREDICTION]
@@ -103,12 +120,6 @@ def test_the_state_is_retained_and_follows_the_pad(port: int, opened: Open) -> N
     wait_for(lambda: retained(port) == "up")
     bridge.stop(WITHIN_S)
     assert retained(port) == "stopped"
-
-
-def retained(port: int) -> str:
-    with subscribed(port, "touchd/pad/state") as messages:
-        wait_for(lambda: bool(messages))
-        return str(messages[0].payload.decode()) if messages[0].retain else ""
 
 
 def test_a_daemon_that_is_killed_leaves_its_last_will(port: int, tmp_path: Path) -> None:
@@ -263,21 +274,6 @@ def test_two_computers_with_one_topic_do_not_end_each_others_connections(
     assert len(connected) == 2
 
 
-def publish(port: int, topic: str, payload: str, retain: bool = True) -> None:
-    """Publish as another program would."""
-    import paho.mqtt.publish
-
-    paho.mqtt.publish.single(topic, payload, 1, retain, "127.0.0.1", port)
-
-
-def all_retained(port: int) -> dict[str, str]:
-    """Return the broker's retained messages by topic."""
-    with subscribed(port, "#") as messages:
-        publish(port, "end", "", retain=False)
-        wait_for(lambda: any(message.topic == "end" for message in messages))
-    return {message.topic: message.payload.decode() for message in messages if message.retain}
-
-
 ANNOUNCED = "homeassistant/event/touchd_pad/config"
 
 
@@ -287,7 +283,7 @@ def test_home_assistants_start_is_answered(port: int, opened: Open) -> None:
     with subscribed(port, "#") as messages:
         wait_for(lambda: len(messages) >= 2)
         messages.clear()
-        publish(port, "homeassistant/status", "online", retain=False)
+        publish(port, "homeassistant/status", "online")
         wait_for(lambda: {message.topic for message in messages} >= {ANNOUNCED, "touchd/pad/state"})
 
 

@@ -106,7 +106,7 @@ def test_nothing_is_lost_over_a_restart_of_the_peer(peer: Peer, monkeypatch: pyt
         peer.start()
         for number in itertools.islice(count, 20):
             bridge.put(event(number))
-        peer.await_received(1)
+        wait_for(lambda: peer.received)
         peer.stop()
         for number in itertools.islice(count, 20):
             bridge.put(event(number))

@@ -52,8 +52,7 @@ class Peer(ABC):
 
     def __init__(self) -> None:
         self.received: list[str] = []
-        self._bridges: list[Bridge] = []
-        self._is_there = ExitStack()
+        self._bridges, self._is_there = ExitStack(), ExitStack()
 
     @abstractmethod
     def make(self) -> Bridge: ...
@@ -65,7 +64,7 @@ class Peer(ABC):
     def bridge(self) -> Bridge:
         """Return a started bridge to this peer."""
         bridge = self.make()
-        self._bridges.append(bridge)
+        self._bridges.callback(bridge.stop, 2.0)
         bridge.start()
         return bridge
 
@@ -79,12 +78,8 @@ class Peer(ABC):
 
     def close(self) -> None:
         """Stop the bridges and the peer."""
-        for bridge in self._bridges:
-            bridge.stop(2.0)
+        self._bridges.close()
         self.stop()
-
-    def await_received(self, count: int) -> None:
-        wait_for(lambda: len(self.received) >= count)
 
 
 @contextmanager
@@ -113,10 +108,9 @@ def broker(folder: Path, port: int, lines: str = "allow_anonymous true\n") -> It
         finally:
             # On SIGTERM it saves its sessions; one that has hardly begun misses the signal.
             process.terminate()
-            try:
+            with suppress(subprocess.TimeoutExpired):
                 process.wait(5.0)
-            except subprocess.TimeoutExpired:
-                process.kill()
+            process.kill()
 
 
 def _listens(port: int) -> bool:
