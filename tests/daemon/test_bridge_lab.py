@@ -10,6 +10,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from rigs import attackers
@@ -60,19 +61,20 @@ def test_a_missing_extra_is_one_line_at_the_start(monkeypatch: pytest.MonkeyPatc
         make_bridges(Settings(lsl=LslSettings()), {PAD: Scripted()})
 
 
-def lsl_outlet(peer: LslPeer) -> Any:
-    """Return what the bridge's own process publishes with."""
+def lsl_streams(peer: LslPeer, name: str) -> tuple[Any, Any]:
+    """Return what the bridge's own process publishes with, and an inlet that gets one of its streams."""
     from touchd.daemon.bridges.lsl import LslOutlet
 
-    return LslOutlet(peer.name, PAD)
+    outlet: Any = LslOutlet(peer.name, PAD)
+    inlet = inlet_of(f"{peer.name}-{PAD}-{name}", threading.Event())
+    wait_for(lambda: getattr(outlet, f"_{name}").have_consumers())
+    return outlet, inlet
 
 
 def test_lsl_frames_carry_their_arrival_time_within_2_ms(tmp_path: Path) -> None:
     pylsl = pytest.importorskip("pylsl")
     peer = LslPeer(tmp_path)
-    outlet = lsl_outlet(peer)
-    inlet = inlet_of(f"{peer.name}-{PAD}-pressure", threading.Event())
-    wait_for(lambda: outlet._pressure.have_consumers())
+    outlet, inlet = lsl_streams(peer, "pressure")
     # The true arrival on LSL's clock lies between the first and the last of these.
     arrived: list[tuple[float, float]] = []
     for number in range(27):
@@ -105,34 +107,26 @@ def test_a_frame_that_waited_too_long_is_not_published(tmp_path: Path) -> None:
 
 def test_lsl_markers_carry_the_events_time(tmp_path: Path) -> None:
     pylsl = pytest.importorskip("pylsl")
-    peer = LslPeer(tmp_path)
-    outlet = lsl_outlet(peer)
-    inlet = inlet_of(f"{peer.name}-{PAD}-markers", threading.Event())
-    wait_for(lambda: outlet._markers.have_consumers())
+    outlet, inlet = lsl_streams(LslPeer(tmp_path), "markers")
     ago = timestamp(time.time() - 1.0)
     ago_s = pylsl.local_clock() - 1.0
-    for event in (
-        TouchBegan(touch=1, time=ago, sensor_ms=1),
-        PREDICTION,
-        TouchEnded(touch=1, gesture="pat", frames=60, reason="released", time=ago),
-        SensorEvent(state="down", time=ago),
-        RobotEvent(state="up", time=ago),
-        RobotAction(touch=1, action="say", what="Hello", time=ago),
-        Label(touch=1, began=ago, gesture="rub", time=ago, tags={"participant": "P07", "trial": "3"}),
+    tags = {"participant": "P07", "trial": "3"}
+    for event, marker in (
+        (TouchBegan(touch=1, time=ago, sensor_ms=1), "touch_began"),
+        (msgspec.structs.replace(PREDICTION, time=ago), "early/stroke/told"),
+        (TouchEnded(touch=1, gesture="pat", frames=60, reason="released", time=ago), "touch_ended/pat"),
+        (SensorEvent(state="down", time=ago), "sensor/down"),
+        (RobotEvent(state="up", time=ago), "robot/up"),
+        (RobotAction(touch=1, action="say", what="Hello", time=ago), "robot_action/say"),
+        (
+            Label(touch=1, began=ago, gesture="rub", time=ago, tags=tags),
+            "label/rub/participant=P07/trial=3",
+        ),
     ):
         outlet.send_event(event)
-    pulled = [inlet.pull_sample(timeout=WITHIN_S) for _ in range(7)]
-    markers = [sample[0] for sample, _ in pulled]
-    assert markers == [
-        "touch_began",
-        "early/stroke/told",
-        "touch_ended/pat",
-        "sensor/down",
-        "robot/up",
-        "robot_action/say",
-        "label/rub/participant=P07/trial=3",
-    ]
-    assert pulled[0][1] == pytest.approx(ago_s, abs=0.2)
+        (said,), stamp_s = inlet.pull_sample(timeout=WITHIN_S)
+        assert said == marker
+        assert stamp_s == pytest.approx(ago_s, abs=0.2)
 
 
 def test_ros2_nodes_find_and_receive_the_topics(tmp_path: Path) -> None:
