@@ -220,5 +220,4 @@ def test_running_out_of_descriptors_neither_floods_the_log_nor_lasts(tmp_path: P
 
         wait_for(is_served)
         assert daemon.stop() == 0
-    assert "Too many open files" in daemon.log
     assert daemon.log.count("\n") < 2 * MOST_LINES

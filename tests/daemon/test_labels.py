@@ -60,7 +60,7 @@ def test_without_kept_frames_it_says_how_to_keep_them() -> None:
 def test_a_key_says_what_the_touch_on_the_screen_was(tmp_path: Path) -> None:
     journal = tmp_path / "events.jsonl"
     config = tmp_path / "touchd.yaml"
-    with playing(LENGTHS, 1.0) as port:
+    with playing(LENGTHS, 2.0) as port:
         config.write_text(
             f"sensor: {{port: {port.path}}}\njournal: {{path: {journal}, keep_touches: 20}}\nlanguage: de\n"
         )
@@ -69,7 +69,7 @@ def test_a_key_says_what_the_touch_on_the_screen_was(tmp_path: Path) -> None:
             # Neither arrow keys nor keys without a gesture say anything.
             for keys in (b"\x1b[A", b"z", b"2"):
                 os.write(terminal._master, keys)
-                time.sleep(0.3)
+                time.sleep(0.1)
             terminal.until("touch 1 was: Tätscheln")
             wait_for(lambda: labels_in(folder_of(journal)))
             terminal.process.send_signal(signal.SIGINT)
