@@ -41,7 +41,7 @@ from touchd.drivers.robot.session import RobotSettings
 from touchd.model.studies.simulated import simulate
 
 pytestmark = pytest.mark.timeout(300)
-SPEED = 6.0
+SPEED = 10.0
 # Time limit for what the page draws at once.
 SOON_S = 20.0
 # Three touches: a pat, a stroke, and one that begins as scratching and goes on as rubbing.
@@ -227,12 +227,13 @@ def test_the_page_follows_the_browsers_settings(played: WatchedPage) -> None:
     moving = "return getComputedStyle(document.querySelector('#bars i')).transitionProperty"
     # Colours otherwise change gradually.
     prefer(played.chrome, color_scheme="light", reduced_motion="reduce")
-    assert brightness() > 200
+    wait_for(lambda: brightness() > 200)
     assert played.run(moving) == "none"
     prefer(played.chrome, color_scheme="dark", reduced_motion="reduce")
-    assert brightness() < 50
+    wait_for(lambda: brightness() < 50)
     prefer(played.chrome)
-    assert played.run(moving) != "none"
+    wait_for(lambda: played.run(moving) != "none")
+    wait_for(lambda: len(listed(played.chrome)) == 3)
 
 
 def test_text_at_double_size_stays_visible(played: WatchedPage) -> None:

@@ -1,4 +1,7 @@
-// A canvas that keeps its memory and its size from one picture to the next.
+// A canvas that keeps its memory and its size from one picture to the next, and the colours to draw in.
+
+/** A colour of the theme. The page is loaded again when the theme changes. */
+export const colourOf = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
 /** A canvas at the screen's resolution. It observes its size, because asking for the size forces a layout. */
 export class SharpCanvas {

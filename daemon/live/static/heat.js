@@ -1,6 +1,6 @@
 // The pad as a heat map: pressure between the taxels is interpolated, then coloured.
 
-import { SharpCanvas } from "./canvas.js";
+import { colourOf, SharpCanvas } from "./canvas.js";
 
 const SIDE = 8;
 const PIXELS = 128;
@@ -31,9 +31,9 @@ const WEIGHTS = Array.from({ length: PIXELS }, (_, pixel) => {
 });
 
 /** Return the theme's colours of pressure, one packed pixel a shade. */
-export function shades(style = getComputedStyle(document.documentElement)) {
+function shades() {
   const stops = Array.from({ length: STOPS }, (_, i) => {
-    const hex = Number.parseInt(style.getPropertyValue(`--heat-${i}`).trim().slice(1), 16);
+    const hex = Number.parseInt(colourOf(`--heat-${i}`).slice(1), 16);
     return [hex >> 16, (hex >> 8) & 255, hex & 255];
   });
   return Uint32Array.from({ length: SHADES }, (_, shade) => {
@@ -67,15 +67,10 @@ export function showMarks(list) {
 /** Draws where the hand was in the last second, fading with time. */
 export class Trail {
   #canvas;
-  #color = "";
+  #color = colourOf("--trail");
 
   constructor(canvas, onResize) {
     this.#canvas = new SharpCanvas(canvas, onResize);
-    this.useTheme();
-  }
-
-  useTheme() {
-    this.#color = getComputedStyle(document.documentElement).getPropertyValue("--trail").trim();
   }
 
   draw(trail) {
@@ -101,8 +96,7 @@ export class HeatMap {
   #context;
   #image = new ImageData(PIXELS, PIXELS);
   #pixels = new Uint32Array(this.#image.data.buffer);
-  #scale;
-  #shades;
+  #shades = shades();
   #levels = new Float32Array(SIDE * SIDE);
   #rows = new Float32Array(SIDE * PIXELS);
   #calm = matchMedia("(prefers-reduced-motion: reduce)");
@@ -110,17 +104,10 @@ export class HeatMap {
   /** scale: a canvas for the colours from light to firm, null for none. */
   constructor(canvas, scale) {
     this.#context = canvas.getContext("2d");
-    this.#scale = scale?.getContext("2d");
-    this.useTheme();
-  }
-
-  /** Read the colours again: the page has switched between dark and light. */
-  useTheme() {
-    this.#shades = shades();
-    if (!this.#scale) return;
+    if (!scale) return;
     const image = new ImageData(SHADES, 1);
     new Uint32Array(image.data.buffer).set(this.#shades);
-    this.#scale.putImageData(image, 0, 0);
+    scale.getContext("2d").putImageData(image, 0, 0);
   }
 
   /** Draw pressure above rest, 64 counts. */

@@ -1,6 +1,6 @@
 // The time line of a touch: its pressure, the marks at which answers fall due, and the answers when they were said.
 
-import { SharpCanvas } from "./canvas.js";
+import { colourOf, SharpCanvas } from "./canvas.js";
 import { nameOf, percent, replacedBy, saidAt, seconds, wordsOf } from "./words.js";
 
 const SHORTEST_S = 4;
@@ -17,17 +17,12 @@ export class TimeLine {
   #flags;
   #drawnMarks = "";
   #drawnFlags = "";
-  #color = "";
+  #color = colourOf("--accent");
 
   constructor(canvas, marks, flags, onResize) {
     this.#canvas = new SharpCanvas(canvas, onResize);
     this.#marks = marks;
     this.#flags = flags;
-    this.useTheme();
-  }
-
-  useTheme() {
-    this.#color = getComputedStyle(document.documentElement).getPropertyValue("--accent").trim();
   }
 
   /** Draw the touch's pressure so far. */

@@ -22,10 +22,6 @@ export class PadSwitch {
     this.#mark(names[0]);
   }
 
-  useTheme() {
-    for (const { heat } of this.#pads.values()) heat.useTheme();
-  }
-
   draw(stores) {
     if (this.#nav.hidden) return;
     for (const [name, { heat, words }] of this.#pads) {

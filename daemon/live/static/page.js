@@ -138,10 +138,4 @@ setInterval(watch, WATCH_MS);
 setInterval(() => {
   $("pad-words").textContent = describePressure(store.pressure);
 }, WORDS_MS);
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
-  heat.useTheme();
-  trail.useTheme();
-  pads.useTheme();
-  line.useTheme();
-  drawSoon();
-});
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => location.reload());
