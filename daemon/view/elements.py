@@ -69,24 +69,18 @@ STEPS = " ▁▂▃▄▅▆▇█"
 Cells = list[list[tuple[str, Style]]]
 
 
-def heat_of(console: Console) -> tuple[str, ...]:
-    """Return the colours from no pressure to firm, none for a console without colours."""
-    # With NO_COLOR rich keeps the colour system and drops the colours.
-    return _between(HEAT) if console.color_system is not None and not console.no_color else ()
-
-
 def pad_picture(pressure: NDArray[np.float64], scale: int, console: Console) -> list[Text]:
     """Return (8, 8) counts above rest as 4 * scale lines of 8 * scale characters."""
-    heat = heat_of(console)
     levels = np.log1p(np.maximum(pressure, 0.0) / LIGHT_COUNTS) / np.log1p(FIRM_COUNTS / LIGHT_COUNTS)
     weights = _weights(scale)
     pixels = np.clip(weights @ levels @ weights.T, 0.0, 1.0)
-    if not heat:
+    # With NO_COLOR rich keeps the colour system and drops the colours.
+    if console.color_system is None or console.no_color:
         at = np.minimum((pixels[::2] * len(CHARACTERS)).astype(int), len(CHARACTERS) - 1)
         return [Text("".join(CHARACTERS[i] for i in row)) for row in at.tolist()]
-    shades = np.rint(pixels * (len(heat) - 1)).astype(int).tolist()
+    shades = np.rint(pixels * (SHADES - 1)).astype(int).tolist()
     return [
-        joined(("▀", _halves(heat[a], heat[b])) for a, b in zip(upper, lower, strict=True))
+        joined(("▀", _halves(*both)) for both in zip(upper, lower, strict=True))
         for upper, lower in zip(shades[::2], shades[1::2], strict=True)
     ]
 
@@ -100,18 +94,18 @@ def joined(cells: Iterable[tuple[str, Style]]) -> Text:
 
 
 @cache
-def _halves(upper: str, lower: str) -> Style:
-    """Return the style of ▀ with one colour above another."""
-    return Style(color=upper, bgcolor=lower)
+def _halves(upper: int, lower: int) -> Style:
+    """Return the style of ▀ with one shade above another."""
+    return Style(color=_colour(upper), bgcolor=_colour(lower))
 
 
 @cache
-def _between(stops: tuple[str, ...]) -> tuple[str, ...]:
-    """Return SHADES colours along the stops."""
-    rgb = np.array([[int(stop[i : i + 2], 16) for i in (1, 3, 5)] for stop in stops])
-    at = np.linspace(0, len(stops) - 1, SHADES)
-    mixed = np.rint([np.interp(at, range(len(stops)), channel) for channel in rgb.T]).astype(int)
-    return tuple("#{:02x}{:02x}{:02x}".format(*shade) for shade in mixed.T)
+def _colour(shade: int) -> str:
+    """Return a colour between those of HEAT. shade: below SHADES."""
+    at = shade / (SHADES - 1) * (len(HEAT) - 1)
+    rgb = np.array([[int(stop[i : i + 2], 16) for i in (1, 3, 5)] for stop in HEAT])
+    mixed = (round(float(np.interp(at, range(len(HEAT)), channel))) for channel in rgb.T)
+    return "#{:02x}{:02x}{:02x}".format(*mixed)
 
 
 @cache

@@ -44,7 +44,6 @@ from touchd.daemon.view.elements import (
     Flag,
     bars,
     big,
-    heat_of,
     pad_picture,
     time_line,
 )
@@ -231,10 +230,10 @@ class View:
         notes = self._note_lines(width - 2, max(1, min(height // 8, NOTE_ROWS)))
         body = height - 2 - len(keys) - len(notes)
         has_card = bool(self._card) and body - len(self._card) >= LEAST_CARD_ROWS
-        pad_rows = body - 1 - (len(self._card) + 1 if has_card else 0)
+        pad_rows = body - (len(self._card) + 1 if has_card else 0)
         scale = max(2, min((width * 9 // 20) // COLUMNS, pad_rows // 4, LARGEST_SCALE))
         left_width = COLUMNS * scale + GAP
-        left = _fitted(self._left(scale, COLUMNS * scale, body), left_width, body)
+        left = _fitted(self._left(scale, body), left_width, body)
         right = _fitted(self._right(width - 2 - left_width, body), width - 2 - left_width, body)
         lines = [Text.assemble(" ", *both) for both in zip(left, right, strict=True)]
         return [self._header(width), *lines, *keys, self._robot_line(), *notes]
@@ -253,10 +252,8 @@ class View:
         title.truncate(max(width - vitals.cell_len - 1, 0), overflow="crop", pad=True)
         return title.append_text(vitals)
 
-    def _left(self, scale: int, width: int, height: int) -> list[Text]:
+    def _left(self, scale: int, height: int) -> list[Text]:
         lines = pad_picture(self._pressure, scale, self._console)
-        if len(lines) < height:
-            lines.append(self._scale_line(width))
         if self._card and height - len(lines) > len(self._card):
             lines += [Text(), *(Text(line, "#ffffff on #000000") for line in self._card)]
         if height - len(lines) >= 2:
@@ -264,14 +261,6 @@ class View:
             ended = [touch for touch in reversed(self._touches) if touch.ended is not None]
             lines += [self._last_touch(touch) for touch in ended[: height - len(lines)]]
         return lines
-
-    def _scale_line(self, width: int) -> Text:
-        room, heat = width - len("light  firm"), heat_of(self._console)
-        line = Text("light ", MUTED)
-        for at in range(room):
-            shade = heat[at * len(heat) // room] if heat else ""
-            line.append("▄" if shade else " ", PAPER + Style.parse(shade))
-        return line.append(" firm", MUTED)
 
     def _last_touch(self, touch: ShownTouch) -> Text:
         changes = list(dict.fromkeys(said.gesture for said in touch.predictions if said.told))

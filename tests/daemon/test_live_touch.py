@@ -29,9 +29,6 @@ from touchd.drivers.fakes.hand import PlayedHand, SimulatedPad
 from touchd.drivers.fakes.pointers import MOST_PRESSES, Pointer, PressingHands
 from touchd.drivers.pad.sensor import FrameQueue
 
-TRIES = 5
-# A mouse reports every few milliseconds; a browser passes this on once per repaint.
-STEP_S = 0.015
 TOUCH = '{"size":"hand","at":[[1,0.5,0.5,null]]}'
 
 # Browsers before the end of 2023 ignore rules with :has().
@@ -121,10 +118,9 @@ class FakePad(NamedTuple):
         self.chrome.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
 
     def pressed(self) -> NDArray[np.float64]:
-        """Return the mean of the next quarter of a second of frames, once a press has settled, (8, 8)."""
-        next_frames(self.frames, 30)
+        """Return the mean of some frames once a press has settled, (8, 8)."""
         self.frames.take_all()
-        return np.mean([frame.pressure for frame in next_frames(self.frames, 14)], axis=0)
+        return np.mean([frame.pressure for frame in next_frames(self.frames, 35)[-10:]], axis=0)
 
 
 @pytest.fixture(scope="module")
@@ -220,7 +216,7 @@ def test_the_pressure_of_pens_and_fingers_counts(fake_pad: FakePad) -> None:
 @pytest.mark.slow
 def test_the_hand_goes_on_when_nobody_touches(fake_pad: FakePad) -> None:
     invitation = fake_pad.chrome.find_element(By.ID, "invitation")
-    wait_for(lambda: next_frames(fake_pad.frames, 1)[0].pressure.max() > 50)
+    wait_for(lambda: any(frame.pressure.max() > 15 for frame in next_frames(fake_pad.frames, 54)))
     wait_for(lambda: invitation.text == "Touch here", fake_hand.ALONE_S + SOON_S)
 
 
