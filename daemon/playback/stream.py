@@ -72,10 +72,8 @@ def chosen_stream(arguments: argparse.Namespace) -> Stream:
             found += [realign(recording) for recording in read_recordings(path, select)]
     wanted = [recording for recording in found if not gestures or recording.gesture in gestures]
     if not wanted:
-        names = ", ".join(str(path) for path in arguments.files)
-        if select == EVERYTHING:
-            raise RecordingError(f"{names}: no frames")
-        raise RecordingError(f"{names}: no recording matches; {_there_are(files, select)}")
+        why = "no frames" if select == EVERYTHING else f"no recording matches; {_there_are(files, select)}"
+        raise RecordingError(f"{', '.join(map(str, arguments.files))}: {why}")
     hours = sum(len(part.counts) + 2 * QUIET_FRAMES for part in wanted) / FRAME_RATE_HZ / 3600
     if hours > MOST_HOURS:
         raise RecordingError(
@@ -142,39 +140,32 @@ def with_quiet(recordings: Sequence[Recording], quiet: Sequence[Recording]) -> S
     quiet: notouch recordings to use, preferably of the same participant and condition, else of the same
     participant, else any. Without any, the least reading of each taxel is used.
     """
-    parts: list[Recording] = []
+    parts: list[tuple[Recording, bool]] = []
     for _, together in groupby(recordings, key=set_up):
-        parts += _quietened(list(together), quiet)
-    stream = splice(parts)
-    own = {id(recording) for recording in recordings}
+        is_quiet = False
+        for recording in together:
+            if recording.gesture != NO_TOUCH and not is_quiet:
+                parts.append((_quiet_for(recording, quiet), True))
+            parts.append((recording, False))
+            is_quiet = recording.gesture == NO_TOUCH
+        if not is_quiet:
+            parts.append((_quiet_for(recording, quiet), True))
+    stream = splice([recording for recording, _ in parts])
     spans = [
-        replace(span, is_added=id(part) not in own) for span, part in zip(stream.spans, parts, strict=True)
+        replace(span, is_added=is_added) for span, (_, is_added) in zip(stream.spans, parts, strict=True)
     ]
     return replace(stream, spans=tuple(spans))
 
 
-def _quietened(recordings: Sequence[Recording], quiet: Sequence[Recording]) -> list[Recording]:
-    parts: list[Recording] = []
-    for recording in recordings:
-        if recording.gesture != NO_TOUCH and (not parts or parts[-1].gesture != NO_TOUCH):
-            parts.append(_quiet_for(recording, quiet))
-        parts.append(recording)
-    if parts[-1].gesture != NO_TOUCH:
-        parts.append(_quiet_for(parts[-1], quiet))
-    return parts
-
-
 def _quiet_for(recording: Recording, quiet: Sequence[Recording]) -> Recording:
-    def likeness(candidate: Recording) -> tuple[bool, bool]:
-        same_participant = candidate.participant == recording.participant
-        return same_participant, set_up(candidate) == set_up(recording)
-
-    if quiet:
-        best = max(quiet, key=likeness)
-        # Keep participant and condition: with others, the clock would restart and rest include the hand.
-        quiet_ms = 1000 * QUIET_FRAMES / FRAME_RATE_HZ
-        frames = int(np.searchsorted(best.sensor_ms, best.sensor_ms[0] + quiet_ms))
-        counts, sensor_ms = best.counts[:frames], best.sensor_ms[:frames]
-        return replace(recording, gesture=NO_TOUCH, counts=counts, sensor_ms=sensor_ms)
-    rest = np.repeat(recording.counts.min(axis=0, keepdims=True), QUIET_FRAMES, axis=0)
-    return replace(recording, gesture=NO_TOUCH, counts=rest, sensor_ms=ideal_clock_ms(QUIET_FRAMES))
+    if not quiet:
+        rest = np.repeat(recording.counts.min(axis=0, keepdims=True), QUIET_FRAMES, axis=0)
+        return replace(recording, gesture=NO_TOUCH, counts=rest, sensor_ms=ideal_clock_ms(QUIET_FRAMES))
+    best = max(
+        quiet, key=lambda one: (one.participant == recording.participant, set_up(one) == set_up(recording))
+    )
+    # Keep participant and condition: with others, the clock would restart and rest include the hand.
+    quiet_ms = 1000 * QUIET_FRAMES / FRAME_RATE_HZ
+    frames = int(np.searchsorted(best.sensor_ms, best.sensor_ms[0] + quiet_ms))
+    counts, sensor_ms = best.counts[:frames], best.sensor_ms[:frames]
+    return replace(recording, gesture=NO_TOUCH, counts=counts, sensor_ms=sensor_ms)
