@@ -115,13 +115,16 @@ def test_two_links_with_one_prefix_say_so_and_keep_the_status_up(caplog: pytest.
 
 def test_a_robot_that_comes_and_goes_is_logged_once_and_reported(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
-    with robot_and_link() as (robot, _, calls, states):
+    with robot_and_link() as (robot, link, calls, states):
+        link.set_status("degraded")
+        calls.wait_for_raise(STATUS, "degraded")
         for times in (1, 2):
             robot.kill()
             states.wait_for(*["up", "down"] * times)
             robot.start()
             states.wait_for(*["up", "down"] * times, "up")
-        assert calls.raised(STATUS) == ["up"] * 3
+        # A robot that has forgotten everything gets the status.
+        assert calls.raised(STATUS) == ["up", *["degraded"] * 3]
     why = "the connection was closed by the robot"
     assert states.told == [*[("up", ""), ("down", why)] * 2, ("up", "")]
     first, second, third = (record.getMessage() for record in caplog.records)

@@ -225,18 +225,6 @@ def test_a_hang_is_noticed_and_events_flow_again_after_it(either: str) -> None:
         hears(robot, link)
 
 
-def test_a_robot_that_returns_gets_the_status(either: str) -> None:
-    with Robot() as robot, linked(robot, client=either, limits=RobotLimits(heartbeat_s=60)) as (link, states):
-        states.wait_for("up")
-        link.set_status("down")
-        robot.calls.wait_for_raise(STATUS, "down")
-        robot.kill()
-        states.wait_for("up", "down", timeout_s=10)
-        robot.start()
-        states.wait_for("up", "down", "up")
-        robot.calls.wait_for(lambda _: robot.calls.raised(STATUS) == ["up", "down", "down"])
-
-
 def test_stale_messages_are_dropped_and_fresh_ones_sent(either: str) -> None:
     limits = RobotLimits(stale_s=0.5)
     with Robot() as robot:

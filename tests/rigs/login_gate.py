@@ -6,16 +6,14 @@ TLS, checks the login in the first message, and then passes bytes through.
 
 import asyncio
 import ssl
-import struct
 import threading
 from contextlib import suppress
 from typing import NamedTuple
 
 import trustme
 
-# libqi, messaging/message.hpp: magic, id, bytes that follow, version, type, flags, service, object, action.
-HEADER = struct.Struct("<IIIHBBIII")
-TYPE_ERROR = 3
+from touchd.drivers.robot.values import read, write
+from touchd.drivers.robot.wire import ERROR, HEADER
 
 
 class Login(NamedTuple):
@@ -54,36 +52,20 @@ class Gate:
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         with suppress(OSError, asyncio.IncompleteReadError):
             header = await reader.readexactly(HEADER.size)
-            first = header + await reader.readexactly(HEADER.unpack(header)[2])
+            magic, number, size, version, _, *target = HEADER.unpack(header)
+            payload = await reader.readexactly(size)
+            first = header + payload
             self.first_messages.append(first)
-            if _holds(first, self.login):
+            given = read("{sm}", payload)
+            if (given.get("auth_user"), given.get("auth_token")) == self.login:
                 inner_reader, inner_writer = await asyncio.open_connection("127.0.0.1", self._inner_port)
                 inner_writer.write(first)
                 await asyncio.gather(_pump(reader, inner_writer), _pump(inner_reader, writer))
             else:
-                writer.write(_refusal(first))
+                why = write("m", "Authentication failed: wrong user or token")
+                writer.write(HEADER.pack(magic, number, len(why), version, ERROR, *target) + why)
                 await writer.drain()
         writer.close()
-
-
-def _text(text: str) -> bytes:
-    """Return a string as qi writes it: its length as uint32, then UTF-8."""
-    encoded = text.encode()
-    return struct.pack("<I", len(encoded)) + encoded
-
-
-def _holds(message: bytes, login: Login) -> bool:
-    """Return whether the map of capabilities in a message has this login: strings, or as qi nests them."""
-    return all(
-        any(_text(key) + nested + _text("s") + _text(value) in message for nested in (b"", _text("m")))
-        for key, value in (("auth_user", login.user), ("auth_token", login.token))
-    )
-
-
-def _refusal(message: bytes) -> bytes:
-    magic, number, _, version, _, flags, service, of, action = HEADER.unpack(message[: HEADER.size])
-    reason = _text("s") + _text("Authentication failed: wrong user or token")
-    return HEADER.pack(magic, number, len(reason), version, TYPE_ERROR, flags, service, of, action) + reason
 
 
 async def _pump(source: asyncio.StreamReader, sink: asyncio.StreamWriter) -> None:
