@@ -64,40 +64,30 @@ def dial(addresses: Iterable[Address], limit_s: float, stopping: threading.Event
 
     Each address is tried a moment after the one before, or once that has failed.
     """
-    waiting, trying = list(addresses), list[socket.socket]()
-    until_s = time.monotonic() + limit_s
+    waiting, trying, poller = list(addresses), dict[int, socket.socket](), select.poll()
+    until_s, next_s = time.monotonic() + limit_s, 0.0
     failed: OSError = TimeoutError(f"no answer within {limit_s:g} s")
     try:
-        while (waiting or trying) and (left_s := until_s - time.monotonic()) > 0 and not stopping.is_set():
+        while (waiting or trying) and (now_s := time.monotonic()) < until_s and not stopping.is_set():
             try:
-                if waiting:
-                    trying.append(_start(*waiting.pop(0)))
-                if connected := _first_of(trying, min(HEAD_START_S, left_s) if waiting else left_s, stopping):
-                    connected.settimeout(limit_s)
-                    return connected
+                if waiting and (now_s >= next_s or not trying):
+                    started = _start(*waiting.pop(0))
+                    trying[started.fileno()], next_s = started, now_s + HEAD_START_S
+                    poller.register(started, select.POLLOUT)
+                for fd, _ in poller.poll(1000 * SLICE_S):
+                    poller.unregister(fd)
+                    answered = trying.pop(fd)
+                    if code := answered.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
+                        answered.close()
+                        raise OSError(code, os.strerror(code))
+                    answered.settimeout(limit_s)
+                    return answered
             except OSError as error:
                 failed = error
         raise failed
     finally:
-        for tried in trying:
+        for tried in trying.values():
             tried.close()
-
-
-def _first_of(trying: list[socket.socket], limit_s: float, stopping: threading.Event) -> socket.socket | None:
-    """Take out and return the first that connects, None if none does in time; raises OSError if one fails."""
-    until_s = time.monotonic() + limit_s
-    poller = select.poll()
-    for each in trying:
-        poller.register(each, select.POLLOUT)
-    while time.monotonic() < until_s and not stopping.is_set():
-        for fd, _ in poller.poll(1000 * SLICE_S):
-            (answered,) = (each for each in trying if each.fileno() == fd)
-            trying.remove(answered)
-            if code := answered.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
-                answered.close()
-                raise OSError(code, os.strerror(code))
-            return answered
-    return None
 
 
 def _start(family: socket.AddressFamily, where: Any) -> socket.socket:

@@ -155,7 +155,7 @@ def explain(error: str, struct: type[msgspec.Struct], raw: object) -> str:
     name = setting.rpartition(".")[2]
     if match := UNKNOWN.fullmatch(problem):
         return _unknown(match[1], path, struct)
-    kinds = (kind for known, kind in _settings(struct) if known == setting)
+    kinds = (kind for known, kind in settings_in(struct) if known == setting)
     choices = ", ".join(str(each) for kind in kinds for each in _choices(kind))
     if match := WRONG_KIND.fullmatch(problem):
         wanted = f"one of {choices}" if choices and match[1] in ("str", "int") else match[1]
@@ -202,7 +202,7 @@ def _unknown(wrong: str, path: str, struct: type[msgspec.Struct]) -> str:
     if wrong == "token":
         # Do not suggest a similar setting: the token must not be written into this file.
         return f"{path}.token: unknown setting; write the token into a file and set robot.token_file"
-    known = [name for name, _ in _settings(struct)]
+    known = [name for name, _ in settings_in(struct)]
     name = ".".join(filter(None, [_without_items(path), wrong]))
     elsewhere = sorted((at for at in known if at.rpartition(".")[2] == wrong), key=lambda at: at.count("."))
     others = [at for at in known if at != _without_items(path)]
@@ -217,14 +217,14 @@ def _without_items(path: str) -> str:
     return re.sub(r"\[[^]]*\]", "", path)
 
 
-def _settings(kind: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str, Any]]:
+def settings_in(kind: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[str, Any]]:
     """Yield the dotted names of all settings in a type, and their types."""
     if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
         for name, inner in typing.get_type_hints(kind).items():
             yield ".".join((*path, name)), inner
-            yield from _settings(inner, (*path, name))
+            yield from settings_in(inner, (*path, name))
     for inner in typing.get_args(kind):
-        yield from _settings(inner, path)
+        yield from settings_in(inner, path)
 
 
 def _choices(kind: Any) -> Iterator[object]:

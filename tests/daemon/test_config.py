@@ -2,13 +2,11 @@
 
 import errno
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
-from msgspec import inspect
 
 from touchd.daemon.app.config import (
     MAX_BYTES,
@@ -20,6 +18,7 @@ from touchd.daemon.app.config import (
     load,
 )
 from touchd.daemon.app.parts import make_parts
+from touchd.daemon.app.strict_yaml import settings_in
 from touchd.daemon.commands.settings import find_settings
 from touchd.drivers.errors import PathError
 from touchd.drivers.pad.format import PRESETS, SentFormat
@@ -49,27 +48,18 @@ def refusal(folder: Path, text: str) -> str:
     return message
 
 
-@pytest.fixture
-def homeless(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A user without a home and without an entry in passwd, as a container may run as."""
-
+def test_without_a_home_the_daemon_runs_and_stores_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def unknown(_: int) -> None:
         raise KeyError
 
+    # As a user without an entry in passwd, in a container.
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("pwd.getpwuid", unknown)
     for name in ("HOME", "XDG_CONFIG_HOME", "XDG_STATE_HOME", "STATE_DIRECTORY"):
         monkeypatch.delenv(name, raising=False)
-
-
-@pytest.mark.usefixtures("homeless")
-def test_without_a_home_the_daemon_runs_and_stores_nothing(tmp_path: Path) -> None:
-    settings = find_settings(None).settings
-    assert make_parts(settings, print, tuple, Signal()).sinks == ()
-
-
-@pytest.mark.usefixtures("homeless")
-def test_without_a_home_the_default_journal_is_refused() -> None:
+    assert make_parts(find_settings(None).settings, print, tuple, Signal()).sinks == ()
     with pytest.raises(PathError, match="unknown home; set HOME, or write the whole path"):
         make_parts(Settings(journal=JournalSettings()), print, tuple, Signal())
 
@@ -98,24 +88,9 @@ def test_the_example_shows_the_defaults(tmp_path: Path) -> None:
 
 
 def test_the_example_names_every_setting_outside_the_pads_format() -> None:
-    text, seen = EXAMPLE.read_text(), set()
-
-    def names(kind: inspect.Type) -> Iterator[str]:
-        match kind:
-            case inspect.StructType(cls=cls, fields=fields) if cls is not SentFormat and cls not in seen:
-                seen.add(cls)
-                for field in fields:
-                    yield field.encode_name
-                    yield from names(field.type)
-            case inspect.UnionType(types=several):
-                for each in several:
-                    yield from names(each)
-            case inspect.ListType(item_type=inner) | inspect.VarTupleType(item_type=inner):
-                yield from names(inner)
-            case inspect.DictType(value_type=inner):
-                yield from names(inner)
-
-    named = set(names(inspect.type_info(Settings)))
+    of_format = {name for name, _ in settings_in(SentFormat)}
+    named = {name.rpartition(".")[2] for name, _ in settings_in(Settings)} - of_format
+    text = EXAMPLE.read_text()
     assert {name for name in named if not re.search(rf"\b{name}:", text)} == set()
 
 
