@@ -25,6 +25,7 @@ COLORS = {
     "cyan": 0x00FFFF,
     "off": 0x000000,
 }
+RGB = re.compile(r"#[0-9a-fA-F]{6}")
 KINDS: tuple[ActionKind, ...] = get_args(ActionKind)
 PLACEHOLDER = re.compile(r"\{\{|\}\}|\{(gesture|name|phrase|confidence)\}")
 
@@ -54,11 +55,7 @@ class Action(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             raise ValueError(
                 f"an action is exactly one of {', '.join(KINDS)}; here: {', '.join(self.given) or 'none'}"
             )
-        if (
-            self.leds is not None
-            and self.leds not in COLORS
-            and not re.fullmatch(r"#[0-9a-fA-F]{6}", self.leds)
-        ):
+        if self.leds is not None and not (self.leds in COLORS or RGB.fullmatch(self.leds)):
             raise ValueError(f"leds {self.leds!r} is neither #rrggbb nor one of {', '.join(COLORS)}")
         for template in filter(None, (self.say, self.animated_say)):
             if re.search("[{}]", PLACEHOLDER.sub("", template)):
