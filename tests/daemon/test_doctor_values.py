@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rigs.doctor_rig import SETTINGS, pad_of, resting, sample
 
-from touchd.daemon.doctor.check import listen
+from touchd.daemon.doctor.check import Check, listen
 from touchd.daemon.doctor.values import (
     check_noise,
     check_orientation,
@@ -27,6 +27,14 @@ from touchd.drivers.search.search import as_yaml
 from touchd.model.studies.simulated import simulate
 
 TURN_OVER = f"set under sensor: {as_yaml(msgspec.structs.replace(PRESETS['fabric-grid'], invert=False))}"
+Change = Callable[[Counts], object]
+
+
+def changed(change: Change, seconds: float = 8.0) -> Counts:
+    """Return the counts of a sound pad at rest after a change in place."""
+    counts = resting(seconds)
+    change(counts)
+    return counts
 
 
 def test_a_sound_pad_at_rest_has_only_living_taxels() -> None:
@@ -36,31 +44,24 @@ def test_a_sound_pad_at_rest_has_only_living_taxels() -> None:
 
 
 @pytest.mark.parametrize(
-    ("damaged", "stuck_at", "found"),
-    [(np.s_[:, 3], 0, "row 4"), (np.s_[:, 2, 4], 7, "row 3 column 5")],
-    ids=["a dead row", "a stuck taxel"],
+    ("counts", "verdict", "found"),
+    [
+        (changed(lambda counts: counts[:, 3].fill(0)), "to do", "row 4"),
+        (changed(lambda counts: counts[:, 2, 4].fill(7)), "to do", "row 3 column 5"),
+        (np.zeros_like(resting()), "warning", "no value changed"),
+        (resting(3.0), "not checked", "needs frames for 6.5 s"),
+    ],
+    ids=["a dead row", "a stuck taxel", "silent", "too few"],
 )
-def test_broken_taxels_are_named(damaged: tuple[slice | int, ...], stuck_at: int, found: str) -> None:
-    counts = resting()
-    counts[damaged] = stuck_at
-    troubles = check_taxels(sample(counts))
-    assert any(found in trouble.found and trouble.advice for trouble in troubles)
-    assert {trouble.verdict for trouble in troubles} == {"to do"}
+def test_broken_taxels_are_named(counts: Counts, verdict: str, found: str) -> None:
+    (check,) = check_taxels(sample(counts))
+    assert check.verdict == verdict
+    assert found in check.found
 
 
-def test_taxels_are_not_checked_on_too_little_data() -> None:
-    assert check_taxels(sample(resting(3.0)))[0].verdict == "not checked"
-    assert check_taxels(sample(np.zeros_like(resting())))[0].verdict == "warning"
-
-
-def test_a_noisy_taxel_is_distinguished_from_a_noisy_pad() -> None:
-    rng = np.random.default_rng(1)
-    counts = resting()
-    counts[:, 6, 1] += rng.integers(0, 40, len(counts)).astype(np.uint16)
-    one = check_noise(sample(counts))
-    assert "row 7 column 2 is noisy" in one.found
-    everywhere = check_noise(sample(counts + rng.integers(0, 40, counts.shape).astype(np.uint16)))
-    assert "the whole pad is noisy" in everywhere.found
+def noisy(counts: Counts, where: object) -> None:
+    part = counts[where]  # type: ignore[index]
+    part += np.random.default_rng(1).integers(0, 40, part.shape).astype(np.uint16)
 
 
 def hum(counts: Counts) -> None:
@@ -70,8 +71,7 @@ def hum(counts: Counts) -> None:
 
 
 def loose_row(counts: Counts) -> None:
-    jumps = np.arange(len(counts)) // 54 % 2
-    counts[:, 2] += (6 * jumps)[:, None].astype(np.uint16)
+    counts[:, 2] += (6 * (np.arange(len(counts)) // 54 % 2))[:, None].astype(np.uint16)
 
 
 def press(counts: Counts) -> None:
@@ -81,25 +81,19 @@ def press(counts: Counts) -> None:
 @pytest.mark.parametrize(
     ("disturb", "found"),
     [
-        (hum, "all taxels swing together by 5."),
-        (hum, "at 4 Hz as sampled: mains hum, or a motor"),
-        (loose_row, "the values of row 3 jump together"),
-        (press, ""),
+        (hum, ": all taxels swing together by 5.0 counts, at 4 Hz as sampled: mains hum, or a motor"),
+        (loose_row, ": the values of row 3 jump together"),
+        (lambda counts: noisy(counts, np.s_[:, 6:7, 1:2]), ": row 7 column 2 is noisy"),
+        (lambda counts: noisy(counts, np.s_[:]), ": the whole pad is noisy"),
+        (press, " and 12 more is noisy"),
         (lambda counts: None, ""),
     ],
-    ids=["hum", "its rate", "a loose line", "a press", "nothing"],
+    ids=["hum", "a loose line", "a taxel", "all", "a press", "nothing"],
 )
-def test_hum_and_a_loose_line_are_named(disturb: Callable[[Counts], None], found: str) -> None:
-    counts = resting()
-    disturb(counts)
-    check = check_noise(sample(counts))
-    assert found in check.found
-    assert bool(found) == ("swing" in check.found or "jump" in check.found)
-    assert bool(check.advice) >= bool(found)
-
-
-def short(counts: Counts) -> None:
-    counts[:, :, :3] = 1023
+def test_the_cause_of_noise_is_named(disturb: Change, found: str) -> None:
+    check = check_noise(sample(changed(disturb)))
+    assert check.found.endswith(found)
+    assert (check.verdict == "ok", check.advice == "") == (not found, not found)
 
 
 def jumping(counts: Counts) -> None:
@@ -107,41 +101,38 @@ def jumping(counts: Counts) -> None:
 
 
 @pytest.mark.parametrize(
-    ("disturb", "full_scale", "found"),
+    ("disturb", "clipped", "found"),
     [
-        (short, 1023, "a quarter of the pad or more is at its limit"),
-        (jumping, 1023, "values jump from frame to frame, as no hand makes them"),
-        (press, 500, "values above full_scale 500 are cut to it"),
-        (press, 1023, ""),
+        (lambda counts: counts[:, :, :3].fill(1023), 0.0, "a quarter of the pad or more is at its limit"),
+        (jumping, 0.0, "values jump from frame to frame, as no hand makes them"),
+        (press, 0.2, "values above full_scale 500 are cut to it"),
+        (press, 0.0, ""),
     ],
     ids=["a short", "jumps", "above full scale", "a press"],
 )
-def test_values_that_no_hand_makes_are_named(
-    disturb: Callable[[Counts], None], full_scale: int, found: str
-) -> None:
-    counts = resting()
-    disturb(counts)
-    seen = sample(counts)
-    if full_scale < 1023:
-        seen = replace(seen, clipped=0.2)
-    assert [check.found for check in check_values(seen, full_scale)] == ([found] if found else [])
+def test_values_that_no_hand_makes_are_named(disturb: Change, clipped: float, found: str) -> None:
+    seen = replace(sample(changed(disturb)), clipped=clipped)
+    assert [check.found for check in check_values(seen, 500)] == ([found] if found else [])
 
 
-def test_an_inverted_pad_is_distinguished_from_a_loaded_one() -> None:
-    upside_down = check_rest(sample(np.uint16(1023) - resting()), SETTINGS)
-    assert upside_down.advice == TURN_OVER
-    counts = resting()
-    counts[:, 1, 2] += 200
-    assert "something lies on row 2 column 3" in check_rest(sample(counts), SETTINGS).found
+HIGH = np.random.default_rng(1).uniform(60, 180, (8, 8)).astype(np.uint16)
+LOADED = np.where(np.arange(64).reshape(8, 8) == 37, 600, HIGH).astype(np.uint16)
 
 
-def test_a_high_rest_is_distinguished_from_a_load() -> None:
-    rest = np.random.default_rng(1).uniform(60, 180, (8, 8)).astype(np.uint16)
-    high = check_rest(sample(resting() + rest), SETTINGS)
-    assert high.verdict == "ok"
-    assert "what a touch adds to that is recognised" in high.found
-    rest[4, 5] = 600
-    assert "something lies on row 5 column 6" in check_rest(sample(resting() + rest), SETTINGS).found
+@pytest.mark.parametrize(
+    ("counts", "verdict", "said"),
+    [
+        (np.uint16(1023) - resting(), "to do", TURN_OVER),
+        (changed(lambda counts: counts[:, 1, 2].__iadd__(200)), "to do", "something lies on row 2 column 3"),
+        (resting() + HIGH, "ok", "what a touch adds to that is recognised"),
+        (resting() + LOADED, "to do", "something lies on row 5 column 6"),
+    ],
+    ids=["upside down", "a load", "a high rest", "a load on it"],
+)
+def test_a_load_is_distinguished_from_other_rest(counts: Counts, verdict: str, said: str) -> None:
+    check = check_rest(sample(counts), SETTINGS)
+    assert check.verdict == verdict
+    assert said in f"{check.found} {check.advice}"
 
 
 @pytest.mark.parametrize(("sensitivity", "advised"), [("normal", True), ("low", False)])
@@ -155,47 +146,45 @@ def test_a_touch_during_the_rest_check_is_reported(sensitivity: Sensitivity, adv
     assert ("touch.sensitivity" in check.advice) == advised
 
 
+def orientation(counts: Counts) -> Check:
+    """Check a press in the last half of a second."""
+    return check_orientation(sample(counts), np.median(counts, axis=0), SETTINGS)
+
+
 @pytest.mark.parametrize(
-    ("row", "column", "verdict", "advice"),
-    [(0, 1, "ok", ""), (7, 7, "to do", "add 180"), (0, 7, "to do", "add 270"), (7, 0, "to do", "add 90")],
+    ("row", "column", "verdict", "said"),
+    [
+        (0, 1, "ok", ""),
+        (7, 7, "to do", "add 180"),
+        (0, 7, "to do", "add 270"),
+        (7, 0, "to do", "add 90"),
+        (3, 5, "not checked", "pressed elsewhere, at row 4 column 6"),
+        (None, None, "not checked", "no corner was pressed"),
+    ],
 )
-def test_the_pressed_corner_tells_how_the_pad_lies(row: int, column: int, verdict: str, advice: str) -> None:
+def test_the_pressed_place_tells_how_the_pad_lies(
+    row: int | None, column: int, verdict: str, said: str
+) -> None:
     counts = resting(1.0)
-    rest = np.median(counts, axis=0)
-    counts[-10:, row, column] += 300
-    pressed = sample(counts)
-    assert is_pressed(pressed.frames[-1], rest)
-    check = check_orientation(pressed, rest, SETTINGS)
+    if row is not None:
+        counts[-10:, row, column] += 300
+    check = orientation(counts)
     assert check.verdict == verdict
-    assert advice in check.advice
+    assert said in f"{check.found} {check.advice}"
 
 
-def test_a_press_elsewhere_than_on_a_corner_is_said() -> None:
-    counts = resting(1.0)
-    rest = np.median(counts, axis=0)
-    counts[10:20, 3, 5] += 300
-    elsewhere = sample(counts)
-    assert not any(is_pressed(frame, rest) for frame in elsewhere.frames)
-    check = check_orientation(elsewhere, rest, SETTINGS)
-    assert (check.verdict, check.found) == ("not checked", "pressed elsewhere, at row 4 column 6")
-
-
-def test_not_pressing_the_corner_is_no_fault() -> None:
+def test_listening_ends_when_the_corner_is_pressed() -> None:
     counts = resting(20.0)
     counts[100:, 0, 0] += 300
+    rest = np.median(counts[:100], axis=0)
     with pad_of(counts, speed=4.0) as port, open_port(port.path, 512_000) as opened:
         parser = FrameParser(SETTINGS.sensor.described)
-        rest = np.median(counts[:100], axis=0)
         found = listen(opened, parser, 15.0, enough=lambda frame: is_pressed(frame, rest))
     assert check_orientation(found, rest, SETTINGS).verdict == "ok"
-    untouched = sample(resting(1.0))
-    rest = np.median(untouched.counts(), axis=0)
-    assert check_orientation(untouched, rest, SETTINGS).verdict == "not checked"
 
 
 def test_values_that_fall_under_the_hand_are_upside_down() -> None:
     counts = resting(1.0) + 500
-    rest = np.median(counts, axis=0)
     counts[-10:, 0, 0] -= 300
-    check = check_orientation(sample(counts), rest, SETTINGS)
+    check = orientation(counts)
     assert (check.verdict, check.advice) == ("to do", TURN_OVER)
