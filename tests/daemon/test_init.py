@@ -11,14 +11,13 @@ import pytest
 import serial
 from msgspec.structs import replace
 from rich.console import Console
-from rigs.coarse_pad import third_study
 from rigs.doctor_rig import pad_read_too_fast
 from rigs.expectations import RECORDINGS, stream_of
-from rigs.haart_folder import needs_third_study
 from rigs.login_gate import Login
 from rigs.pressing import SECONDS, pressed
 from rigs.robots import LOGIN, Robot
 from rigs.terminal import Terminal
+from serial.tools.list_ports_common import ListPortInfo
 
 from touchd.daemon.app.config import ConfigError, SensorSettings, load
 from touchd.daemon.commands import init
@@ -50,20 +49,13 @@ def write(*options: str) -> int:
     return main(["--robot", "none", *options])
 
 
-class Found:
-    """A port as the operating system lists it."""
-
-    def __init__(self, device: str) -> None:
-        self.device = device
-
-
 def test_the_pads_port_and_baud_rate_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(init, "USUAL_BAUDS", (115_200, 57_600))
     monkeypatch.setattr(init, "DEFAULT_PORT", "none")
     monkeypatch.setattr(hand, "LISTEN_S", 4.0)
     counts = wandering_then_held(1, 1, 0.0).counts
     with pad_read_too_fast(counts, termios.B57600, PRESETS["fabric-grid"], pace=1.0) as pad:
-        monkeypatch.setattr(init, "comports", lambda: [Found("/dev/null"), Found(pad.path)])
+        monkeypatch.setattr(init, "comports", lambda: [ListPortInfo("/dev/null"), ListPortInfo(pad.path)])
         assert write() == 0
     settings = load(FILE)
     assert settings.sensor.described == SensorSettings().described
@@ -91,45 +83,31 @@ def test_a_grid_that_is_none_is_refused(typed: str, capsys: pytest.CaptureFixtur
     assert said in capsys.readouterr().err
 
 
-def test_without_a_terminal_the_grid_has_to_be_told(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(hand, "LISTEN_S", 1.0)
-    printed = PadFormat(framing="text", rows=12, columns=10)
-    with FakePort(STREAM, encoder_for(SensorSettings(format=printed)), loop=True) as pad:
-        assert write("--port", pad.path) == 1
-    assert "120 numbers a frame; say --grid ROWSxCOLUMNS" in capsys.readouterr().err
-    assert not FILE.exists()
-
-
-@needs_third_study
-def test_a_coarse_pad_is_found_told_its_grid(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hand, "LISTEN_S", 2.0)
-    touches = [each for _, touched, each in third_study("S15") if touched]
-    # Somebody touches the pad throughout this stream, so any eight seconds of it prove the format.
-    played = touches[14]
-    stream = Stream(played[:, 1:], played[:, 0] - played[0, 0], ())
-    with FakePort(
-        stream, lambda cells, ms: f"{ms},{','.join(map(str, cells))}\r\n".encode(), speed=4.0, loop=True
-    ) as pad:
-        assert write("--port", pad.path, "--grid", "6x6") == 0
-    found = load(FILE).sensor.described
-    assert (found.rows, found.columns, found.skip, found.invert) == (6, 6, 1, False)
-
-
-def test_a_pad_that_nobody_presses_is_refused_in_one_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("columns", "told", "said"),
+    [
+        (10, [], "120 numbers a frame; say --grid ROWSxCOLUMNS"),
+        (8, ["--grid", "12x8"], "press firmly"),
+    ],
+    ids=["the grid is missing", "nobody presses"],
+)
+def test_a_pad_that_is_not_proven_is_refused_in_one_line(
+    columns: int,
+    told: list[str],
+    said: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(hand, "LISTEN_S", 1.5)
     monkeypatch.setattr(hand, "LONGER_S", 0.1)
     rest = np.random.default_rng(0).integers(0, 4, (4000, 8, 8)).astype(np.uint16)
-    printed = PadFormat(framing="text", rows=8, columns=8)
+    printed = PadFormat(framing="text", rows=12, columns=columns)
     still = Stream(rest, ideal_clock_ms(len(rest)), ())
     with FakePort(still, encoder_for(SensorSettings(format=printed)), loop=True) as pad:
-        assert write("--port", pad.path, "--grid", "8x8") == 1
-    said = capsys.readouterr().err
-    assert "bytes/s of text, such as" in said
-    assert "press firmly" in said
+        assert write("--port", pad.path, *told) == 1
+    shown = capsys.readouterr().err
+    assert "bytes/s of text, such as" in shown
+    assert said in shown
     assert not FILE.exists()
 
 
@@ -182,16 +160,13 @@ def test_a_port_that_another_program_reads_is_no_missing_pad() -> None:
     assert not FILE.exists()
 
 
-@pytest.mark.parametrize("changed", [{}, {"rows": 8, "columns": 8, "crop": 0}])
-@pytest.mark.parametrize("lies", [{}, {"turn": 90, "mirror": True}])
-def test_how_a_pad_lies_is_written_beside_what_it_sends(
-    monkeypatch: pytest.MonkeyPatch, changed: dict[str, Any], lies: dict[str, Any]
-) -> None:
-    sent = replace(PRESETS["fabric-grid"], **changed)
-    monkeypatch.setattr(init, "_find", lambda *_: init.Found("none", 512_000, replace(sent, **lies)))
+@pytest.mark.parametrize("changed", [{}, {"rows": 8, "columns": 8, "crop": 0, "turn": 90, "mirror": True}])
+def test_what_was_found_is_written(monkeypatch: pytest.MonkeyPatch, changed: dict[str, Any]) -> None:
+    found = replace(PRESETS["fabric-grid"], **changed)
+    monkeypatch.setattr(init, "_find", lambda *_: init.Found("none", 512_000, found))
     assert write() == 0
     sensor = load(FILE).sensor
-    assert (sensor.described, sensor.turn) == (replace(sent, **lies), lies.get("turn", 0))
+    assert (sensor.described, sensor.turn) == (found, found.turn)
     assert isinstance(sensor.format, str) is not bool(changed)
 
 
@@ -272,10 +247,10 @@ def wandering_then_held(row: int, column: int, held_s: float, wandering_s: float
     return Stream(counts, [20 * number for number in range(len(counts))], ())
 
 
-# The hand of the last case is there before the corner is asked for.
+# The hand of all cases but the first is there before the corner is asked for.
 @pytest.mark.parametrize(
     ("row", "column", "turn", "wandering_s"),
-    [(1, 1, 0, 2.5), (1, 8, 270, 2.5), (8, 8, 180, 2.5), (8, 1, 90, 0.0)],
+    [(1, 1, 0, 1.5), (1, 8, 270, 0.0), (8, 8, 180, 0.0), (8, 1, 90, 0.0)],
 )
 def test_the_corner_is_where_the_hand_stays(
     row: int, column: int, turn: int, wandering_s: float, monkeypatch: pytest.MonkeyPatch

@@ -20,7 +20,6 @@ from touchd.daemon.path.events import SensorEvent
 from touchd.daemon.path.monitor import PadMonitor
 from touchd.daemon.playback.rig import encoder_for
 from touchd.drivers.fakes.fake_port import FakePort
-from touchd.drivers.faults import AGAIN_S
 from touchd.drivers.frame import CLOCK_MODULUS, Counts, Frame, SensorState
 from touchd.drivers.pad.grid import MAX_GAP_MS
 from touchd.drivers.recording import Stream, ideal_clock_ms, read_recordings, realign, splice
@@ -139,11 +138,12 @@ def twitching() -> Counts:
         pressed_firmly(),
         silent(),
         silent((10, 20)),
-        *map(quiet, (0.1, 0.2, 0.3, 0.4)),
+        quiet(0.1),
+        quiet(0.3),
         lively(47),
         twitching(),
     ],
-    ids=["heavy hand", "silent", "rubbed", "0.1", "0.2", "0.3", "0.4", "47 lively taxels", "bad contact"],
+    ids=["heavy hand", "silent", "rubbed", "0.1", "0.3", "47 lively taxels", "bad contact"],
 )
 def test_what_a_sound_pad_reads_is_not_a_fault(counts: Counts) -> None:
     assert told_of(counts) == ([], [])
@@ -171,18 +171,6 @@ def test_a_row_that_broke_on_a_slow_pad_is_found_between_touches() -> None:
     lines, _ = told_of(counts, clock_ms, lambda second: second % 6 < 2)
     assert [line for _, line in lines] == [DEAD_ROW]
     assert lines[0][0] > 54
-
-
-def test_a_loose_contact_is_logged_ever_less_often() -> None:
-    spans = [(begin_s, begin_s + 15) for begin_s in range(5, 270, 33)]
-    lines, _ = told_of(broken(ROW_7, 0, *spans, seconds=300))
-    assert [line.partition(" (after")[0] for _, line in lines] == [DEAD_ROW, f"no longer: {DEAD_ROW}"]
-
-
-def test_a_wire_that_breaks_for_good_is_logged_again() -> None:
-    (first_s, first), _, (again_s, again) = told_of(broken(ROW_7, 0, (5, 20), (40, 340), seconds=340))[0]
-    assert (first, again) == (DEAD_ROW, DEAD_ROW)
-    assert AGAIN_S <= again_s - first_s < AGAIN_S + 2
 
 
 @needs_haart
@@ -250,11 +238,11 @@ def test_a_daemon_that_was_stopped_blames_neither_pad_nor_clock(tmp_path: Path) 
     stream = Stream(counts, ideal_clock_ms(len(counts)), ())
     with FakePort(stream, encoder_for(SensorSettings())) as pad, Daemon(tmp_path, pad) as daemon:
         daemon.await_event(SensorEvent)
-        time.sleep(1.0)
         daemon.process.send_signal(signal.SIGSTOP)
-        time.sleep(3.0)
+        # Longer than a pad may be silent.
+        time.sleep(2.5)
         daemon.process.send_signal(signal.SIGCONT)
-        time.sleep(1.5)
+        time.sleep(1.0)
         assert daemon.stop() == 0
     assert [event.state for event in daemon.events if isinstance(event, SensorEvent)] == ["up"]
     assert [line for line in daemon.log.splitlines() if "drivers.pad" in line and "WARNING" in line] == []
@@ -309,13 +297,3 @@ def test_a_graver_cause_of_a_degraded_pad_is_reported() -> None:
     monitor = PadMonitor()
     states = noisy_for(monitor, 8) + states_of(monitor, range(10_000, 25_000, 250))
     assert [state.cause for state in states] == ["noise", "gaps"]
-
-
-def test_each_lasting_cause_of_an_outage_is_reported_once(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    monitor = PadMonitor()
-    causes = ("missing", "denied", "missing", "busy", "busy", "busy", "missing", "missing")
-    states = [monitor.on_sensor(SensorState("down", cause, cause)) for cause in causes]
-    assert [state.reason for state in states if state] == ["missing", "busy"]
-    assert caplog.messages == ["missing", "busy"]

@@ -103,17 +103,10 @@ READ: dict[str, Printed] = {
 }
 REFUSED: dict[str, tuple[Printed, str]] = {
     "bare rows": (lambda v, n: table(v), "empty line"),
-    "a shorter last line": (
-        lambda v, n: table(v.ravel()[:72].reshape(6, 12)) + line(v.ravel()[72:]) + "\n",
-        "",
-    ),
     "hexadecimal": (lambda v, n: " ".join(f"{x:03X}" for x in v.ravel()) + "\r\n", ""),
-    "decimal commas": (
-        lambda v, n: ";".join(f"{x / 100:.2f}".replace(".", ",") for x in v.ravel()) + "\n",
-        "",
-    ),
+    "decimal commas": (lambda v, n: ";".join(f"{x // 9},{x % 9}" for x in v.ravel()) + "\n", ""),
     "row and column beside": (
-        lambda v, n: "".join(f"{i // 10},{i % 10},{x}\n" for i, x in enumerate(v.flat)),
+        lambda v, n: "".join(f"{i // 9},{i % 9},{x}\n" for i, x in enumerate(v.flat)),
         "",
     ),
     "row numbers inside": (
@@ -128,10 +121,6 @@ REFUSED: dict[str, tuple[Printed, str]] = {
     "changes": (lambda v, n: line(np.rint(90 * np.sin(n / 3) * v / 1023).astype(np.int_)), ""),
     "u12": (lambda v, n: b"\xaa\x55" + bytes(120), ""),
     "u32": (lambda v, n: b"\xaa\x55" + sent(v, "<u4"), ""),
-    "low bytes, then high ones": (
-        lambda v, n: b"\xf0\xaa\x55" + sent(v & 255, "u1") + sent(v >> 8, "u1"),
-        "",
-    ),
     "low bytes": (lambda v, n: b"\xf0\xaa\x55" + sent(v & 255, "u1"), "jump"),
     "a packet a row": (
         lambda v, n: b"".join(b"\xaa" + bytes([i]) + sent(r // 5, "u1") for i, r in enumerate(v)),
