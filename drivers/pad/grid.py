@@ -120,7 +120,7 @@ class Ring:
     def _restart(self, frame: Frame, pressure: NDArray[np.float32]) -> GridFrame:
         self._sensor_ms, self._clock_ms, self._pressure = frame.sensor_ms, frame.sensor_ms, pressure
         self._phase_ms = float(frame.sensor_ms)
-        return self._lay(frame.sensor_ms, frame.host_s, pressure, bridged=False, restarted=True)
+        return self._lay(frame.sensor_ms, frame.host_s, pressure, restarted=True)
 
     def _follow_phase(self, now_ms: int) -> None:
         """Count the frames that have kept step with a 54 Hz grid, whose phase follows them slowly."""
@@ -140,14 +140,19 @@ class Ring:
     def _between(self, frame: Frame, pressure: NDArray[np.float32], now_ms: int, at_ms: float) -> GridFrame:
         """Lay the grid frame at `at_ms`, between the previous sensor frame and this one."""
         if at_ms == now_ms:
-            return self._lay(at_ms, frame.host_s, pressure, bridged=False, restarted=False)
+            return self._lay(at_ms, frame.host_s, pressure)
         span_ms = now_ms - self._clock_ms
         share = np.float32((at_ms - self._clock_ms) / span_ms)
         laid = self._pressure + share * (pressure - self._pressure)
-        return self._lay(at_ms, frame.host_s, laid, bridged=span_ms > LOST_STEP * PERIOD_MS, restarted=False)
+        return self._lay(at_ms, frame.host_s, laid, bridged=span_ms > LOST_STEP * PERIOD_MS)
 
     def _lay(
-        self, at_ms: float, host_s: float, pressure: NDArray[np.float32], *, bridged: bool, restarted: bool
+        self,
+        at_ms: float,
+        host_s: float,
+        pressure: NDArray[np.float32],
+        bridged: bool = False,
+        restarted: bool = False,
     ) -> GridFrame:
         if restarted:
             self._vibration = Vibration()

@@ -68,11 +68,6 @@ class Sensor:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="touchd-sensor", daemon=True)
 
-    @property
-    def where(self) -> str:
-        """The port, with its baud rate where it has one."""
-        return self._port + at_baud(self._port, self._baud)
-
     def start(self) -> None:
         """Begin to read; returns at once."""
         self._thread.start()
@@ -139,7 +134,10 @@ class Sensor:
                 return
             if now_s - max(frame_s, reported_s) > self.silence_s:
                 reported_s, has_bytes = now_s, False
-                self._report_no_frames(is_silent=now_s - byte_s > self.silence_s)
+                cause, what = "no frames", f"bytes come, but no frame of {self.parser.format}"
+                if now_s - byte_s > self.silence_s:
+                    cause, what = "silent", f"no data for {self.silence_s:g} s"
+                self._report_down(cause, f"{self._port}{at_baud(self._port, self._baud)}: {what}")
 
     def _rest(self, opened: Line, size: int, took_s: float, now_s: float, *, has_frames: bool) -> None:
         """Sleep after a read of `size` bytes that came within `took_s`: for more frames, or in a flood."""
@@ -154,12 +152,6 @@ class Sensor:
             self._is_up = True
             self._queue.put(SensorState("up", f"frames arrive from {self._port}"))
         self._queue.put_all(frames)
-
-    def _report_no_frames(self, *, is_silent: bool) -> None:
-        if is_silent:
-            self._report_down("silent", f"{self.where}: no data for {self.silence_s:g} s")
-        else:
-            self._report_down("no frames", f"{self.where}: bytes come, but no frame of {self.parser.format}")
 
     def _report_down(self, cause: str, reason: str) -> None:
         """Report that no frames come, unless stopped: another reader may fill the queue by now."""

@@ -6,7 +6,6 @@ import select
 import socket
 import struct
 import threading
-import typing
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
@@ -15,9 +14,6 @@ from touchd.drivers import hosts
 from touchd.drivers.errors import MAX_LINE_BYTES, TouchdError, one_line, reason
 from touchd.drivers.robot.session import ADVICE, RobotLimits, RobotLost, RobotRefused, RobotSettings, Wait
 from touchd.drivers.robot.values import read, write
-
-if typing.TYPE_CHECKING:
-    import ssl
 
 # Magic, id, bytes that follow, version, type, flags, service, object, action.
 HEADER = struct.Struct("<4sIIHBBIII")
@@ -120,7 +116,7 @@ class Connection:
         return data
 
 
-def encrypted(line: socket.socket, go_on: Callable[[], None]) -> tuple["ssl.SSLSocket", str]:
+def encrypted(line: socket.socket, go_on: Callable[[], None]) -> tuple[socket.socket, str]:
     """Begin TLS on a connection; return it and its certificate's fingerprint, as in robot.certificate.
 
     go_on: called whenever the connection's timeout is over, to raise an error or to continue. Raises OSError.
