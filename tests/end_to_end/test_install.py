@@ -48,11 +48,11 @@ Make = Callable[..., str]
 
 @pytest.fixture
 def make(tmp_path: Path) -> Make:
-    """Runs make with tmp_path as DESTDIR; returns what it prints."""
+    """Runs make with tmp_path as DESTDIR; returns what it prints. fails: what it must do."""
 
-    def make(*arguments: str, source: Path = ROOT) -> str:
+    def make(*arguments: str, source: Path = ROOT, fails: bool = False) -> str:
         done = ran(["make", "-C", str(source), "--no-print-directory", *arguments, f"DESTDIR={tmp_path}"])
-        assert done.returncode == 0, done.stdout + done.stderr
+        assert (done.returncode != 0) == fails, done.stdout + done.stderr
         return done.stdout
 
     return make
@@ -118,9 +118,8 @@ def test_a_package_installs_into_the_packages_folders(make: Make, tmp_path: Path
 def test_a_foreign_folder_is_never_deleted(make: Make, tmp_path: Path) -> None:
     (tmp_path / "opt/touchd").mkdir(parents=True)
     (tmp_path / "opt/touchd/thesis.tex").write_text("")
-    done = ran(["make", "-C", str(ROOT), "install-program", "PYTHON=/usr/bin/python3", f"DESTDIR={tmp_path}"])
-    assert done.returncode != 0
-    assert "is there and is not an installed touchd" in done.stdout
+    said = make("install-program", "PYTHON=/usr/bin/python3", fails=True)
+    assert "is there and is not an installed touchd" in said
     make("uninstall")
     assert files_in(tmp_path) == {"opt/touchd/thesis.tex"}
 
@@ -137,28 +136,26 @@ def test_a_foreign_folder_is_never_deleted(make: Make, tmp_path: Path) -> None:
     ],
 )
 def test_an_unfit_system_is_refused_in_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, program: str, script: str, said: str
+    make: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, program: str, script: str, said: str
 ) -> None:
     (tmp_path / program).write_text(f"#!/bin/sh\n{script.replace('{python}', sys.executable)}\n")
     (tmp_path / program).chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
-    make = ["make", "-C", str(ROOT), "install-program", f"DESTDIR={tmp_path}/root"]
-    done = ran([*make, *([f"PYTHON={tmp_path}/python3"] if program == "python3" else [])])
-    assert done.returncode != 0
-    assert said in done.stdout
-    assert not (tmp_path / "root").exists()
+    python = [f"PYTHON={tmp_path}/python3"] if program == "python3" else []
+    assert said in make("install-program", *python, fails=True)
+    assert files_in(tmp_path) == {program}
 
 
-def test_an_upgrade_keeps_the_extras_that_are_installed(tmp_path: Path) -> None:
+def test_an_upgrade_keeps_the_extras_that_are_installed(make: Make, tmp_path: Path) -> None:
     python = tmp_path / "opt/touchd/bin/python"
     python.parent.mkdir(parents=True)
     python.write_text(f"#!/bin/sh\nexec {sys.executable} $@")
     python.chmod(0o755)
-    make = ["make", "-nC", str(ROOT), "install-program", "PYTHON=python3", f"DESTDIR={tmp_path}"]
     there = ran([python, "-m", "touchd.drivers.installed"], check=True).stdout.split()
     kept = [extra for extra in there if extra in ("mqtt", "lsl", "ros2", "rosbridge", "mcap", "nao")]
-    assert f"with live {' '.join(kept)} (" in ran(make, check=True).stdout
-    assert "with live lsl ros2 (" in ran([*make, "EXTRAS=lsl,ros2"], check=True).stdout
+    shown = ("-n", "install-program", "PYTHON=python3")
+    assert f"with live {' '.join(kept)} (" in make(*shown)
+    assert "with live lsl ros2 (" in make(*shown, "EXTRAS=lsl,ros2")
 
 
 @pytest.mark.parametrize(
@@ -179,11 +176,9 @@ def test_nothing_is_advised_that_cannot_be_installed(
     assert ("install" in how_to_install(extra)) == (instead == "")
 
 
-def test_an_unknown_extra_is_refused(tmp_path: Path) -> None:
-    make = ["make", "-C", str(ROOT), "install-program", "EXTRAS=mqqt", f"DESTDIR={tmp_path}"]
-    done = ran([*make, f"PYTHON={sys.executable}"])
-    assert done.returncode != 0
-    assert "there is no extra mqqt; EXTRAS takes mqtt lsl" in done.stdout
+def test_an_unknown_extra_is_refused(make: Make, tmp_path: Path) -> None:
+    said = make("install-program", "EXTRAS=mqqt", f"PYTHON={sys.executable}", fails=True)
+    assert "there is no extra mqqt; EXTRAS takes mqtt lsl" in said
     assert files_in(tmp_path) == set()
 
 
@@ -373,24 +368,17 @@ def test_the_installed_program_runs(make: Make, tmp_path: Path, source: Path) ->
     assert files_in(tmp_path / "opt") == set()
 
 
-def stand_in_for_pip(folder: Path) -> None:
-    """Make venv/bin/python, which notes what it is asked for and fails where the index is away."""
-    python = folder / "venv/bin/python"
-    python.parent.mkdir(parents=True)
+def test_torch_comes_from_no_other_index_than_said(make: Make, tmp_path: Path) -> None:
+    # It notes what it is asked for, and fails where the index is away.
+    venv = tmp_path / "venv"
+    (python := venv / "bin/python").parent.mkdir(parents=True)
     python.write_text(
-        f'#!/bin/sh\necho "$@" >> {folder}/asked\ncase "$*" in *http://away*) echo gone >&2; exit 1;; esac\n'
+        f'#!/bin/sh\necho "$@" >> {tmp_path}/asked\n'
+        'case "$*" in *http://away*) echo gone >&2; exit 1;; esac\n'
     )
     python.chmod(0o755)
-
-
-def test_torch_comes_from_no_other_index_than_said(tmp_path: Path) -> None:
-    stand_in_for_pip(tmp_path)
-    venv = tmp_path / "venv"
-    done = ran(
-        ["make", "-C", ROOT, venv / ".development.stamp", f"VENV={venv}", "TORCH_INDEX=http://away"],
-    )
-    assert done.returncode != 0
-    assert "make test TORCH_INDEX= takes it from the ordinary index, with CUDA: 6 GB" in done.stdout
+    said = make(str(venv / ".development.stamp"), f"VENV={venv}", "TORCH_INDEX=http://away", fails=True)
+    assert "make test TORCH_INDEX= takes it from the ordinary index, with CUDA: 6 GB" in said
     (call,) = (tmp_path / "asked").read_text().splitlines()
     assert "--index-url http://away torch" in call
     assert (venv / "torch.log").read_text() == "gone\n"
