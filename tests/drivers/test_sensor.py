@@ -157,7 +157,7 @@ def test_it_stops_at_once_before_and_while_waiting(tmp_path: Path) -> None:
 
 def test_it_stops_at_once_under_a_flood_of_frames() -> None:
     with (
-        FakePort(stream_of(), encode_fabric_grid, speed=None, loop=True) as port,
+        FakePort(stream_of(), encode_fabric_grid, speed=1e6, loop=True) as port,
         sensing(port.path) as queue,
     ):
         next_frames(queue, 100)
