@@ -19,11 +19,8 @@ class FrameParser:
     def __init__(self, described: PadFormat) -> None:
         self.counts = ProtocolCounts()
         self.format = described
-        self._framing: TextFraming | BinaryFraming = (
-            TextFraming(described, self.counts)
-            if described.framing == "text"
-            else BinaryFraming(described, self.counts)
-        )
+        framing = TextFraming if described.framing == "text" else BinaryFraming
+        self._framing: TextFraming | BinaryFraming = framing(described, self.counts)
         self._layout = layout_of(described)
         self._clock = PadClock(self.counts, described.clock)
         self._tail = b""

@@ -83,7 +83,6 @@ def check_port(port: str, baud: int) -> None:
     """Raise SensorError if `port` is unusable, as far as can be seen.
 
     port: a device, tcp://host:port, or udp://address:port to listen at.
-
     Does not open it: opening restarts an Arduino, and disturbs whoever reads it already.
     """
     try:

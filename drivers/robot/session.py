@@ -14,6 +14,7 @@ from touchd.drivers.whole_file import secret_in
 
 # On which NAOqi listens: up to 2.8, and 2.9.
 PORTS = {"tcp": 9559, "tcps": 9503}
+ADDRESS = re.compile(r"(tcps?)://(\[[^\s\[\]]+\]|[^\s/@:\[\]]+)(?::(\d{0,5}))?", re.IGNORECASE)
 # Limit for a call once the daemon stops; three of them fit into the two seconds it has for that.
 STOPPING_LIMIT_S = 0.25
 ADVICE = "if a robot is there, check user and token, and whether it wants tcp:// or tcps://"
@@ -38,8 +39,7 @@ class RobotLimits:
     connect_s: for a connection, or for finding a service. call_s: for any call on the event path.
     action_s: for one action, which answers only when it is over; a dance takes minutes.
     stale_s: what has waited longer than this is dropped, since a late answer is worse than none.
-    heartbeat_s: an idle robot is asked something this often. With call_s it bounds how long a hang goes
-    unnoticed, because a hung robot still looks connected.
+    heartbeat_s: how often an idle robot is asked something, as a hung one still looks connected.
     capacity: messages, or reactions, that wait at most; the oldest is dropped.
     """
 
@@ -69,9 +69,7 @@ class Wait:
 
 def address_of(url: str) -> tuple[str, str, int]:
     """Return a robot's scheme, tcp or tcps, host and port; raises ValueError that shows no password."""
-    parts = re.fullmatch(
-        r"(tcps?)://(\[[^\s\[\]]+\]|[^\s/@:\[\]]+)(?::(\d{0,5}))?", url.strip(), re.IGNORECASE
-    )
+    parts = ADDRESS.fullmatch(url.strip())
     if parts is None or int(parts[3] or 1) not in range(1, 65536):
         raise ValueError(f"url {without_password(url)!r} is not an address such as tcp://nao.local:9559")
     scheme = parts[1].lower()
@@ -99,9 +97,7 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"\w+", self.prefix) or self.prefix.startswith("AL"):
-            raise ValueError(
-                f"prefix {self.prefix!r} must be one word that does not begin with AL (the robot's)"
-            )
+            raise ValueError(f"prefix {self.prefix!r} must be one word and not begin with AL, as the robot's")
         if (self.user is None) != (self.token_file is None):
             raise ValueError("a login is user and token_file; set both (user: nao on most robots)")
         if self.token_file is not None and "/" not in self.token_file:
