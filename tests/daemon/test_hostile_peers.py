@@ -214,7 +214,7 @@ def test_running_out_of_descriptors_neither_floods_the_log_nor_lasts(tmp_path: P
         closing.close()
 
         def is_served() -> bool:
-            with suppress(OSError), urlopen(f"http://127.0.0.1:{port}/", timeout=5.0) as answer:
+            with suppress(OSError), urlopen(f"http://127.0.0.1:{port}/", timeout=1.0) as answer:
                 return bool(answer.status == 200)
             return False
 
