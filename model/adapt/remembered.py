@@ -4,7 +4,7 @@ A head adapted to one person forgets others. Samples from these Gaussians stand 
 recordings are then not needed (generative feature replay, Liu et al. 2020).
 """
 
-from collections.abc import Collection
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,10 +31,10 @@ class Remembered:
     rests: Tensor
     gestures: tuple[str, ...]
 
-    def samples(self, gestures: Collection[str], seed: int) -> CropFeatures:
+    def samples(self, gestures: Iterable[str], seed: int) -> CropFeatures:
         """Draw SAMPLES summaries from each study's Gaussian for each of these gestures."""
         rng = torch.Generator().manual_seed(seed)
-        chosen = [i for i, gesture in enumerate(self.gestures) if gesture in gestures]
+        chosen = [i for wanted in gestures for i, own in enumerate(self.gestures) if own == wanted]
         N, L, R, F = self.directions[chosen].shape
         along = torch.randn(N, SAMPLES, L, R, generator=rng)
         values = torch.einsum("nslr,nlrf->nslf", along, self.directions[chosen])

@@ -12,6 +12,8 @@ import msgspec
 import numpy as np
 import pytest
 from msgspec.structs import replace as replace_in
+from numpy.typing import NDArray
+from rigs.haart_folder import THIRD_STUDY, needs_third_study
 
 pytest.importorskip("torch", reason="needs the extra `train`")
 pytestmark = [pytest.mark.timeout(300), pytest.mark.usefixtures("one_thread")]
@@ -49,6 +51,7 @@ from touchd.model.studies.simulated import simulate  # noqa: E402
 from touchd.model.tgc import TGC  # noqa: E402
 from touchd.model.training.export import CalibratedTGC  # noqa: E402
 from touchd.model.training.remember import save, statistics  # noqa: E402
+from touchd.model.training.studies import Folders  # noqa: E402
 
 # The simulated gesture behind each label; "hug" is new to the shipped model.
 DONE = {"hug": "constant", "notouch": "notouch", "pat": "pat", "scratch": "scratch", "stroke": "stroke"}
@@ -271,6 +274,29 @@ def test_a_gesture_without_recordings_is_not_forgotten(pretrained: Pretrained) -
         answers = adapted.head(windows(pretrained.backbone, resting)[144].values).argmax(dim=1)
     assert {adapted.labels[i] for i in answers.tolist()} == {"notouch"}
     assert any("No recording of notouch" in line for line in report_lines(adapted))
+
+
+@pytest.mark.slow
+@needs_third_study
+def test_a_lab_with_a_gesture_of_its_own_keeps_other(pretrained: Pretrained) -> None:
+    """Three people record the known gestures and pokes; four others make what is none of them."""
+    folders = Folders(Path("none"), third_study=Path(str(THIRD_STUDY)))
+    known, others = folders.to_train_on(("third",)), folders.others(("third",))
+    taught, unseen = ("S01", "S03", "S04"), ("S06", "S07", "S08", "S10")
+    lesson = [cut(each, 324) for each in known if each.participant in taught]
+    lesson += [cut(each, 324) for each in others if each.participant in taught and each.gesture == "poke"]
+    adapted = adapt(pretrained, lesson, AdaptSettings(), keep_all=True)
+    made = [cut(each, 288) for each in others if each.participant in unseen]
+    evaluated = windows(pretrained.backbone, made)[144]
+    is_poke = np.array([made[i].gesture == "poke" for i in evaluated.recordings])
+
+    def named(head: torch.nn.Sequential, labels: Sequence[str], gesture: str) -> NDArray[np.bool_]:
+        return np.array(logits(head, evaluated).argmax(axis=1) == labels.index(gesture))
+
+    before = named(pretrained.head, pretrained.labels, "other")[~is_poke].mean()
+    after = named(adapted.head, adapted.labels, "other")[~is_poke].mean()
+    assert after > 0.75 * before
+    assert named(adapted.head, adapted.labels, "poke")[is_poke].mean() > 0.5
 
 
 def test_all_known_gestures_can_be_kept(pretrained: Pretrained) -> None:
