@@ -32,6 +32,7 @@ MIDDLE = (ROWS - 1) / 2
 
 # Where the hand is, in taxels, at a time in seconds; None: off the pad.
 Path: TypeAlias = Callable[[float], tuple[float, float] | None]
+Range: TypeAlias = tuple[float, float]
 
 
 class Fabric:
@@ -89,32 +90,40 @@ def pat(rng: RandomState) -> Path:
     return lambda time_s: place if time_s % every_s < down_s else None
 
 
-def stroke(rng: RandomState) -> Path:
-    """Stroke about once a second, over half of the pad or more, always the same way."""
-    (row, column), heading = middle(rng), up_or_down(rng)
-    down_s, every_s, length = rng.uniform(0.4, 0.7), rng.uniform(0.85, 1.2), rng.uniform(4.0, 6.5)
-
-    def path(time_s: float) -> tuple[float, float] | None:
-        part = time_s % every_s / down_s
-        if part >= 1.0:
-            return None
-        # Slower at the ends, faster in the middle, moving throughout.
-        along = length * (part - 0.5 - 0.25 * math.sin(2.0 * math.pi * part) / math.pi)
-        return row + along * math.sin(heading), column + along * math.cos(heading)
-
-    return path
-
-
-def to_and_fro(least_hz: float, most_hz: float, least: float, most: float) -> Callable[[RandomState], Path]:
-    """Return back-and-forth paths; pace in Hz and reach in taxels are drawn from these ranges."""
+def stroke(
+    down_s: Range, every_s: Range, length: Range, heading: Callable[[RandomState], float] = up_or_down
+) -> Callable[[RandomState], Path]:
+    """Return strokes, always the same way. Durations, periods and lengths in taxels are from these ranges."""
 
     def make(rng: RandomState) -> Path:
-        (row, column), heading = middle(rng), up_or_down(rng)
-        pace_hz, reach = rng.uniform(least_hz, most_hz), rng.uniform(least, most)
+        (row, column), angle = middle(rng), heading(rng)
+        down, every, taxels = (rng.uniform(*each) for each in (down_s, every_s, length))
+
+        def path(time_s: float) -> tuple[float, float] | None:
+            part = time_s % every / down
+            if part >= 1.0:
+                return None
+            # Slower at the ends, faster in the middle, moving throughout.
+            along = taxels * (part - 0.5 - 0.25 * math.sin(2.0 * math.pi * part) / math.pi)
+            return row + along * math.sin(angle), column + along * math.cos(angle)
+
+        return path
+
+    return make
+
+
+def to_and_fro(
+    pace_hz: Range, reach: Range, heading: Callable[[RandomState], float] = up_or_down
+) -> Callable[[RandomState], Path]:
+    """Return back-and-forth paths; pace in Hz and reach in taxels are from these ranges."""
+
+    def make(rng: RandomState) -> Path:
+        (row, column), angle = middle(rng), heading(rng)
+        pace, taxels = rng.uniform(*pace_hz), rng.uniform(*reach)
 
         def path(time_s: float) -> tuple[float, float]:
-            along = reach * math.cos(2.0 * math.pi * pace_hz * time_s)
-            return row + along * math.sin(heading), column + along * math.cos(heading)
+            along = taxels * math.cos(2.0 * math.pi * pace * time_s)
+            return row + along * math.sin(angle), column + along * math.cos(angle)
 
         return path
 
@@ -125,9 +134,10 @@ def to_and_fro(least_hz: float, most_hz: float, least: float, most: float) -> Ca
 PLAYED: Mapping[str, Gesture] = {
     "constant": Gesture("hand", constant),
     "pat": Gesture("hand", pat),
-    "rub": Gesture("hand", to_and_fro(1.2, 2.2, 0.7, 1.9)),
-    "scratch": Gesture("fingertips", to_and_fro(2.5, 4.0, 0.4, 0.9)),
-    "stroke": Gesture("hand", stroke),
+    "rub": Gesture("hand", to_and_fro((1.2, 2.2), (0.7, 1.9))),
+    "scratch": Gesture("fingertips", to_and_fro((2.5, 4.0), (0.4, 0.9))),
+    # About once a second, over half of the pad or more.
+    "stroke": Gesture("hand", stroke((0.4, 0.7), (0.85, 1.2), (4.0, 6.5))),
 }
 
 
