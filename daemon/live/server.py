@@ -76,11 +76,11 @@ class LiveServer:
         labeller: Labeller | None = None,
     ) -> None:
         self.listening = listening
-        self.settings = settings
         self._pads = {name: Memory(scene) for name, scene in scenes.items()}
         self._is_touchable = touching is not None
         self._messages = Labels(labeller, self._pads) if labeller else touching
         self._page = Page(own_names(settings))
+        self._urls = urls_of(settings, listening.getsockname()[1])
         self._viewers = Viewers(self._state)
         self._items: DroppingQueue[Item] = DroppingQueue(CAPACITY, _may_drop)
         self._is_woken = False
@@ -96,8 +96,7 @@ class LiveServer:
         return self._items.dropped
 
     def start(self) -> None:
-        urls = urls_of(self.settings, self.listening.getsockname()[1])
-        log.info("live page: %s", " ".join(urls))
+        log.info("live page: %s", " ".join(self._urls))
         self._thread.start()
 
     def put(self, item: Event | LivePrediction) -> None:

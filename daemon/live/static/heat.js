@@ -1,6 +1,7 @@
 // The pad as a heat map: pressure between the taxels is interpolated, then coloured.
 
 import { colourOf, SharpCanvas } from "./canvas.js";
+import { make } from "./words.js";
 
 const SIDE = 8;
 const PIXELS = 128;
@@ -56,8 +57,7 @@ const levelOf = (counts) => Math.log1p(counts / LIGHT_COUNTS) / Math.log1p(FIRM_
 export function showMarks(list) {
   list.replaceChildren(
     ...MARKS.map((counts) => {
-      const mark = document.createElement("li");
-      mark.textContent = counts === 0 ? "0 counts" : counts;
+      const mark = make("li", "", counts === 0 ? "0 counts" : counts);
       mark.style.setProperty("--at", levelOf(counts));
       return mark;
     }),

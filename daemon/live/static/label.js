@@ -1,6 +1,6 @@
 // Buttons that say what a touch was, for viewers on touchd's computer: the last one, or one chosen in the list.
 
-import { nameOf } from "./words.js";
+import { make, nameOf } from "./words.js";
 
 const HERE = ["localhost", "[::1]"];
 const isHere = HERE.includes(location.hostname) || location.hostname.startsWith("127.");
@@ -31,8 +31,8 @@ export function useLabels(scene, send) {
   for (const button of buttons.values()) button.remove();
   buttons.clear();
   for (const gesture of labels) {
-    const button = document.createElement("button");
-    Object.assign(button, { type: "button", textContent: nameOf(gesture) });
+    const button = make("button", "", nameOf(gesture));
+    button.type = "button";
     button.addEventListener("click", () => {
       const { pad, touch } = chosen ?? store.touch.began;
       chosen = null;

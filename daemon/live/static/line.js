@@ -1,7 +1,7 @@
 // The time line of a touch: its pressure, the marks at which answers fall due, and the answers when they were said.
 
 import { colourOf, SharpCanvas } from "./canvas.js";
-import { nameOf, percent, replacedBy, saidAt, seconds, wordsOf } from "./words.js";
+import { make, nameOf, percent, replacedBy, saidAt, seconds, wordsOf } from "./words.js";
 
 const SHORTEST_S = 4;
 const AFTER_FINAL = 1.5;
@@ -68,10 +68,8 @@ export class TimeLine {
     this.#drawnMarks = key;
     this.#marks.replaceChildren(
       ...times.map((at) => {
-        const mark = document.createElement("li");
+        const mark = make("li", elapsed >= at ? "reached" : "", make("span", "", seconds(at)));
         mark.style.setProperty("--at", at / end);
-        mark.classList.toggle("reached", elapsed >= at);
-        mark.append(Object.assign(document.createElement("span"), { textContent: seconds(at) }));
         return mark;
       }),
     );
@@ -85,32 +83,20 @@ function endOf(scene) {
 
 /** before: the told answer that this one replaced, undefined without one. */
 function flag(prediction, before, scene) {
-  const item = document.createElement("li");
-  const isChanged = before !== undefined;
-  item.dataset.stage = prediction.stage;
-  item.dataset.frames = prediction.frames;
-  item.dataset.gesture = prediction.gesture;
-  item.classList.toggle("changed", isChanged);
   const said = saidAt(prediction);
   const at = said / endOf(scene);
-  item.style.setProperty("--at", Math.min(at, 1));
-  const name = Object.assign(document.createElement("span"), {
-    className: "name",
-    textContent: wordsOf(prediction),
-  });
   const share = prediction.gesture === "uncertain" ? "" : percent(prediction.confidence);
   const when = `saw ${seconds(prediction.elapsed_s)}, ${prediction.told ? "told" : "said"} at ${seconds(said)}`;
   // An answer after the line's end shows its times, too.
   const isLate = at > 1 || said - prediction.elapsed_s > LATE_S;
-  const small = document.createElement("small");
-  if (isLate) small.append(Object.assign(document.createElement("span"), { className: "times", textContent: when }));
-  if (prediction.told) small.append(" ✓");
-  item.title = when;
-  const spoken = [when, ...(isChanged ? [`before: ${nameOf(before.gesture)}`] : [])].map((text) =>
-    Object.assign(document.createElement("span"), { className: "unseen", textContent: `, ${text}` }),
-  );
+  const small = make("small", "", isLate ? make("span", "times", when) : "", prediction.told ? " ✓" : "");
   small.setAttribute("aria-hidden", "true");
-  item.append(name, share, small, ...spoken);
+  const spoken = `, ${when}${before ? `, before: ${nameOf(before.gesture)}` : ""}`;
+  const name = make("span", "name", wordsOf(prediction));
+  const item = make("li", before ? "changed" : "", name, share, small, make("span", "unseen", spoken));
+  Object.assign(item.dataset, { frames: prediction.frames, gesture: prediction.gesture });
+  item.style.setProperty("--at", Math.min(at, 1));
+  item.title = when;
   return item;
 }
 

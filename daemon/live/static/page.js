@@ -7,7 +7,7 @@ import { followChoice, showAdvice, showLabels, useLabels } from "./label.js";
 import { TimeLine } from "./line.js";
 import { connect } from "./link.js";
 import * as show from "./show.js";
-import { PadSwitch } from "./pads.js";
+import { drawPads, showPads } from "./pads.js";
 import { padOf, Store } from "./store.js";
 import { useTouch } from "./touch.js";
 import { followVisitors, showLegend } from "./visitors.js";
@@ -22,12 +22,6 @@ const $ = (id) => document.getElementById(id);
 $("unable").remove();
 let store = new Store();
 let stores = new Map();
-const pads = new PadSwitch($("pads"), (name) => {
-  store = stores.get(name);
-  hasEvent = true;
-  watch();
-  drawSoon();
-});
 const heat = new HeatMap($("heat"), $("scale"));
 const trail = new Trail($("trail"), drawSoon);
 const line = new TimeLine($("trace"), $("marks"), $("flags"), drawSoon);
@@ -45,7 +39,7 @@ function draw() {
   isDue = false;
   heat.draw(store.pressure);
   trail.draw(store.trail);
-  pads.draw(stores);
+  drawPads(stores);
   line.draw(store);
   line.show(store);
   show.showClock(store);
@@ -92,7 +86,12 @@ function usePads(names) {
   if ([...stores.keys()].join() === names.join()) return;
   stores = new Map(names.map((name) => [name, stores.get(name) ?? new Store()]));
   store = stores.get(names[0]);
-  pads.use(names);
+  showPads(names, (name) => {
+    store = stores.get(name);
+    hasEvent = true;
+    watch();
+    drawSoon();
+  });
 }
 
 function onMessage(message) {

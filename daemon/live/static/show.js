@@ -1,7 +1,7 @@
 // Everything in words and bars: the answer, the probabilities, the last touches, and the status.
 
 import { areLabelsTaken, isChosen } from "./label.js";
-import { answerOf, nameOf, percent, replacedBy, saidAt, seconds, timeOfDay, wordsOf } from "./words.js";
+import { answerOf, make, nameOf, percent, replacedBy, saidAt, seconds, timeOfDay, wordsOf } from "./words.js";
 
 const ENDINGS = {
   gap: "too many frames were lost",
@@ -12,13 +12,6 @@ const ENDINGS = {
 };
 
 const $ = (id) => document.getElementById(id);
-
-function make(tag, className, ...children) {
-  const element = document.createElement(tag);
-  if (className) element.className = className;
-  element.append(...children);
-  return element;
-}
 
 /** Set a text only if it differs, to avoid needless layouts and announcements by screen readers. */
 function say(element, text) {

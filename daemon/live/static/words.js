@@ -1,4 +1,4 @@
-// Formats gestures, shares and times.
+// Gestures, shares and times in words, and elements that show them.
 
 let names = { notouch: "no touch" };
 let guesses = {};
@@ -32,6 +32,13 @@ export function replacedBy(predictions, place) {
 /** When an answer was said, in seconds since the touch began: after the frames that it is about, by their age. */
 export function saidAt({ elapsed_s, age_ms }) {
   return elapsed_s + age_ms / 1000;
+}
+
+export function make(tag, className, ...children) {
+  const element = document.createElement(tag);
+  if (className) element.className = className;
+  element.append(...children);
+  return element;
 }
 
 export function percent(share) {
