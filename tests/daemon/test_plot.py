@@ -181,13 +181,6 @@ def journal(path: Path) -> Path:
     return path
 
 
-def test_a_journal_becomes_touches_without_its_half_line(tmp_path: Path) -> None:
-    first, second = read_journal(journal(tmp_path / "events.jsonl"))
-    assert [answer.stage for answer in first.predictions] == ["early", "final"]
-    assert first.ended is not None
-    assert second.ended is None
-
-
 def test_a_journal_becomes_a_picture_with_each_touch_and_answer(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

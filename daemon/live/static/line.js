@@ -91,9 +91,10 @@ function flag(prediction, before, scene) {
   const isLate = at > 1 || said - prediction.elapsed_s > LATE_S;
   const small = make("small", "", isLate ? make("span", "times", when) : "", prediction.told ? " ✓" : "");
   small.setAttribute("aria-hidden", "true");
-  const spoken = `, ${when}${before ? `, before: ${nameOf(before.gesture)}` : ""}`;
+  const spoken = [when, ...(before ? [`before: ${nameOf(before.gesture)}`] : [])];
   const name = make("span", "name", wordsOf(prediction));
-  const item = make("li", before ? "changed" : "", name, share, small, make("span", "unseen", spoken));
+  const item = make("li", before ? "changed" : "", name, share, small);
+  item.append(...spoken.map((text) => make("span", "unseen", `, ${text}`)));
   Object.assign(item.dataset, { frames: prediction.frames, gesture: prediction.gesture });
   item.style.setProperty("--at", Math.min(at, 1));
   item.title = when;
