@@ -16,7 +16,6 @@ from rigs.live_rig import HANDSHAKE
 from websockets.utils import accept_key
 
 CONNACK = b"\x20\x02\x00\x00"
-PUBACK = b"\x40\x02"
 WELCOME = (
     b"HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
     b"Sec-WebSocket-Accept: %s\r\n\r\n"
@@ -109,42 +108,6 @@ def takes_nothing(client: socket.socket, goes_on: Callable[[], bool]) -> None:
     while goes_on():
         client.sendall(b"\xd0\x00")
         time.sleep(1.0)
-
-
-def acknowledge(
-    client: socket.socket, goes_on: Callable[[], bool], retained: dict[str, bytes] | None = None
-) -> None:
-    """A broker of MQTT 3.1.1 that does what it should: greets, and acknowledges each message of QoS 1.
-
-    retained: receives each retained message of QoS 1, by topic.
-    """
-    if client.recv(CHUNK)[8] != 4:
-        client.sendall(b"\x20\x02\x00\x01")
-        return
-    client.sendall(CONNACK)
-    data = b""
-    while goes_on():
-        with suppress(TimeoutError):
-            said = client.recv(CHUNK)
-            if not said:
-                return
-            data += said
-        while len(data) >= 2:
-            length, start = data[1] & 0x7F, 2
-            if data[1] & 0x80:
-                if len(data) < 3:
-                    break
-                length, start = length + 128 * data[2], 3
-            if len(data) < start + length:
-                break
-            kind, body, data = data[0], data[start : start + length], data[start + length :]
-            if kind & 0xF6 == 0x32:
-                at = 2 + int.from_bytes(body[:2], "big")
-                if retained is not None and kind & 1:
-                    retained[body[2:at].decode()] = body[at + 2 :]
-                client.sendall(PUBACK + body[at : at + 2])
-            elif kind == 0xC0:
-                client.sendall(b"\xd0\x00")
 
 
 # rosbridge
