@@ -127,7 +127,7 @@ class ApartBridge(Bridge):
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Publish for some pads what comes in lines on standard input."""
+    """Publish for some pads the items that come, pickled, on standard input."""
     # Ignore signals to the process group: this process ends when the daemon closes its standard input.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)

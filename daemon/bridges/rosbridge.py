@@ -11,7 +11,7 @@ import msgspec
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
-from touchd.daemon.bridges.bridge import Bridge, PeerLimit
+from touchd.daemon.bridges.bridge import POLL_S, Bridge, PeerLimit
 from touchd.daemon.bridges.settings import RosbridgeSettings
 from touchd.daemon.path.events import Event, Prediction, encode
 from touchd.drivers import hosts
@@ -69,13 +69,24 @@ class RosbridgeBridge(Bridge):
         return reason.replace(url, self._settings.shown_url)
 
     def send_event(self, event: Event) -> bool:
-        messages = [self._publish("event", {"data": encode(event).decode()})]
+        connection, messages = self._connection, [self._publish("event", {"data": encode(event).decode()})]
         if isinstance(event, Prediction) and event.told:
             messages.insert(0, self._publish("gesture", {"data": event.gesture}))
-        return self._send(messages)
+        if connection is None or not self._send(connection, messages):
+            return False
+        try:
+            # A server confirms no message. Its answer to a ping says that it has read what came before.
+            pong = connection.ping()
+        except WebSocketException:
+            return False
+        while not pong.wait(POLL_S):
+            if connection.close_code is not None or self._abandoned.is_set():
+                return False
+        return True
 
     def send_frame(self, frame: Frame, pad: str) -> None:
-        self._send([self._publish("pressure", _image(frame, pad))])
+        if self._connection is not None:
+            self._send(self._connection, [self._publish("pressure", _image(frame, pad))])
 
     def hang_up(self) -> None:
         if self._connection is not None:
@@ -89,10 +100,7 @@ class RosbridgeBridge(Bridge):
             if status.level == "error":
                 self.note_refused(str(status.msg))
 
-    def _send(self, messages: Sequence[str]) -> bool:
-        connection = self._connection
-        if connection is None:
-            return False
+    def _send(self, connection: ClientConnection, messages: Sequence[str]) -> bool:
         try:
             for message in messages:
                 connection.send(message)

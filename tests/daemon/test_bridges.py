@@ -2,6 +2,7 @@
 
 import itertools
 import re
+import select
 import socket
 import threading
 import time
@@ -14,6 +15,7 @@ import pytest
 from rigs import attackers
 from rigs.made_events import TIME
 from rigs.peers import PAD, LslPeer, MqttPeer, Peer, Ros2Peer, RosbridgePeer, frame, needs_mosquitto
+from rigs.sockets import free_port
 from rigs.wait import WITHIN_S, wait_for
 
 from touchd.daemon.bridges.bridge import Bridge
@@ -26,8 +28,8 @@ KINDS = {
     "rosbridge": ("websockets", RosbridgePeer, []),
 }
 ALL = [pytest.param(kind, marks=marks) for kind, (_, _, marks) in KINDS.items()]
-# Those that know whether their peer is there, and that whose peer acknowledges each event.
-CONNECTING, ACKNOWLEDGED = [ALL[0], ALL[3]], [ALL[0]]
+# Those that know whether their peer is there, and whether it has an event.
+CONNECTING = [ALL[0], ALL[3]]
 # Those with a process of their own.
 APART = [ALL[1], ALL[2]]
 # How long a daemon that ends waits for its sinks, and time that a busy machine may need beside it.
@@ -96,7 +98,7 @@ def test_a_process_that_ended_is_started_again(peer: Peer) -> None:
     peer.stop()
 
 
-@pytest.mark.parametrize("peer", ACKNOWLEDGED, indirect=True)
+@pytest.mark.parametrize("peer", CONNECTING, indirect=True)
 def test_nothing_is_lost_over_a_restart_of_the_peer(peer: Peer, monkeypatch: pytest.MonkeyPatch) -> None:
     # The peer of this test starts at a busy machine's pace.
     monkeypatch.setattr("touchd.daemon.bridges.bridge.STALE_S", WITHIN_S)
@@ -135,6 +137,36 @@ def test_what_is_stale_when_the_peer_returns_is_not_sent(peer: Peer, monkeypatch
     bridge.put(event(50))
     wait_for(lambda: 50 in numbers(peer))
     assert not set(range(2, 50)) & set(numbers(peer))
+
+
+@pytest.mark.parametrize("peer", CONNECTING, indirect=True)
+def test_a_frozen_peer_later_gets_one_stale_event_at_most(
+    peer: Peer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("touchd.daemon.bridges.bridge.STALE_S", 0.3)
+    peer.start()
+    real, peer.port = peer.port, free_port()
+    is_frozen = threading.Event()
+
+    def pass_on(client: socket.socket, goes_on: Callable[[], bool]) -> None:
+        with socket.create_connection(("127.0.0.1", real)) as server:
+            while goes_on():
+                for source, other in ((client, server), (server, client)):
+                    if select.select([source], [], [], 0.01)[0] and not is_frozen.is_set():
+                        other.sendall(source.recv(65536))
+
+    with attackers.server(peer.port, pass_on):
+        bridge = peer.bridge()
+        put_until_received(peer, bridge)
+        is_frozen.set()
+        for number in range(1, 20):
+            bridge.put(event(number))
+        time.sleep(0.4)
+        is_frozen.clear()
+        bridge.put(event(99))
+        wait_for(lambda: 99 in numbers(peer))
+        bridge.stop(STOP_S)
+    assert numbers(peer) in ([1, 99], [99])
 
 
 def say_nothing(client: socket.socket, goes_on: Callable[[], bool]) -> None:
