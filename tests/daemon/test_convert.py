@@ -20,7 +20,7 @@ from touchd.daemon.sinks.touches import decode
 from touchd.drivers.recording import read_provenance, read_recordings, write_recordings
 
 EVENTS = [
-    TouchBegan(touch=1, time="2026-11-20T10:00:00.000Z", sensor_ms=81234, pad="head"),
+    TouchBegan(touch=1, time="2026-11-20T10:00:00.000Z", sensor_ms=81234, pad="head", tags={"trial": "7"}),
     msgspec.structs.replace(PREDICTION, touch=1, pad="head"),
 ]
 
@@ -54,18 +54,8 @@ def messages(source: Path, folder: Path) -> list[tuple[Any, Any, Any]]:
 def test_a_journal_as_csv_has_a_row_an_event(journal: Path) -> None:
     began, prediction = rows(journal)
     assert [began["type"], prediction["type"]] == ["touch_began", "prediction"]
-    assert (began["sensor_ms"], began["probabilities_pat"]) == ("81234", "")
-    assert (prediction["probabilities_pat"], prediction["told"], prediction["pad"]) == (
-        "0.19",
-        "True",
-        "head",
-    )
-
-
-def test_tags_are_columns_of_a_csv(journal: Path) -> None:
-    tagged = msgspec.structs.replace(EVENTS[0], tags={"participant": "P07"})
-    journal.write_bytes(encode(EVENTS[0]) + b"\n" + encode(tagged) + b"\n")
-    assert [row["tags_participant"] for row in rows(journal)] == ["", "P07"]
+    assert (began["sensor_ms"], began["probabilities_pat"], began["tags_trial"]) == ("81234", "", "7")
+    assert [prediction[name] for name in ("probabilities_pat", "told", "pad")] == ["0.19", "True", "head"]
 
 
 def test_journal_lines_that_are_not_events_are_skipped_and_counted(
@@ -75,17 +65,6 @@ def test_journal_lines_that_are_not_events_are_skipped_and_counted(
     journal.write_bytes(b"\n".join([b"\0" * 40, lines[0], b"garbage", *lines[1:]]))
     assert [row["type"] for row in rows(journal)] == ["touch_began", "prediction"]
     assert "skipped 2 lines that are not events" in capsys.readouterr().err
-
-
-def test_a_recording_whose_clock_restarted_becomes_mcap(tmp_path: Path) -> None:
-    (first, *_) = read_recordings(DEMO)
-    clock_ms = first.sensor_ms.copy()
-    clock_ms[40:] -= clock_ms[40]
-    write_recordings(tmp_path / "reset.csv", [replace(first, sensor_ms=clock_ms)], {})
-    written = messages(tmp_path / "reset.csv", tmp_path)
-    times = [message.log_time for schema, _, message in written if schema.name == "foxglove.RawImage"]
-    assert times == sorted(times)
-    assert len(times) == len(first.counts)
 
 
 def test_a_journal_as_mcap_keeps_every_event_field_and_time(journal: Path, tmp_path: Path) -> None:
@@ -101,15 +80,21 @@ def test_a_journal_as_mcap_keeps_every_event_field_and_time(journal: Path, tmp_p
 
 
 def test_a_recording_as_mcap_is_pictures_for_foxglove(tmp_path: Path) -> None:
-    written = messages(DEMO, tmp_path)
-    recordings = read_recordings(DEMO)
-    held = [(channel.topic, schema.name, json.loads(message.data)) for schema, channel, message in written]
-    pictures = [data for _, name, data in held if name == "foxglove.RawImage"]
-    labels = [data["gesture"] for topic, _, data in held if topic == "/touchd/recording"]
-    assert labels == [recording.gesture for recording in recordings]
+    first, *others = read_recordings(DEMO)
+    # A clock that restarts is as usual.
+    clock_ms = first.sensor_ms.copy()
+    clock_ms[40:] -= clock_ms[40]
+    recordings = [replace(first, sensor_ms=clock_ms), *others]
+    write_recordings(tmp_path / "reset.csv", recordings, {})
+    written = messages(tmp_path / "reset.csv", tmp_path)
+    pictures = [message for schema, _, message in written if schema.name == "foxglove.RawImage"]
+    labels = [
+        json.loads(message.data) for _, channel, message in written if channel.topic == "/touchd/recording"
+    ]
+    assert [label["gesture"] for label in labels] == [recording.gesture for recording in recordings]
     assert len(pictures) == sum(len(recording.counts) for recording in recordings)
-    pixels = np.frombuffer(base64.b64decode(pictures[3]["data"]), "<u2").reshape(8, 8)
-    np.testing.assert_array_equal(pixels, recordings[0].counts[3])
+    pixels = np.frombuffer(base64.b64decode(json.loads(pictures[3].data)["data"]), "<u2").reshape(8, 8)
+    np.testing.assert_array_equal(pixels, first.counts[3])
     times = [message.log_time for *_, message in written]
     assert times == sorted(times)
 

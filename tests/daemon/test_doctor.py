@@ -120,9 +120,7 @@ def test_a_token_that_cannot_be_read_is_reported() -> None:
     ("answer", "verdict", "found"),
     [
         ("LoadState=not-found", "ok", "no touchd service is installed"),
-        (f"{ACTIVE}StatusText=54.0 frames/s\nNRestarts=0", "ok", "54.0 frames/s"),
-        (f"{ACTIVE}NRestarts=3", "warning", "restarted 3 times"),
-        (f"{ACTIVE}UnitFileState=disabled", "warning", "not started at boot"),
+        (ACTIVE, "ok", "runs"),
         ("LoadState=loaded\nActiveState=inactive", "warning", "installed, but inactive"),
         ("LoadState=loaded\nActiveState=failed\nResult=exit-code", "to do", "failed (exit-code)"),
         ("", "not checked", "no systemd answers"),
