@@ -1,10 +1,8 @@
 """`touchd doctor`: checks pad, model, robot and service, and says what to do."""
 
 import argparse
-import sys
 from collections.abc import Sequence
 
-import msgspec
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -38,7 +36,6 @@ def parser() -> argparse.ArgumentParser:
         default=LISTEN_S,
         help="how long to listen to the pad (%(default)g)",
     )
-    parser.add_argument("--json", action="store_true", help="one JSON object instead of lines")
     return parser
 
 
@@ -47,23 +44,18 @@ def main(arguments: Sequence[str]) -> int:
     options = parsed(parser(), arguments)
     settings = settings_of(options).settings
     talk = Console(stderr=True, width=text_width(), highlight=False)
-    console = Console(width=text_width(), highlight=False, quiet=options.json)
-    checks = []
-    for check in examine(
-        settings,
-        options.seconds,
-        lambda line: talk.print(line, style="cyan"),
-        talk if can_ask() else None,
-        options.grid,
-    ):
+    console = Console(width=text_width(), highlight=False)
+
+    def say(line: str) -> None:
+        talk.print(line, style="cyan")
+
+    to_do = 0
+    for check in examine(settings, options.seconds, say, talk if can_ask() else None, options.grid):
         console.print(_line(check))
         if _is_to_paste(check.advice):
             console.print(Text(f"{' ' * ADVICE_AT}-> {check.advice}", "bold"), soft_wrap=True)
-        checks.append(check)
-    to_do = sum(check.verdict == "to do" for check in checks)
+        to_do += check.verdict == "to do"
     console.print(f"{to_do} to do" if to_do else "nothing to do", style="bold")
-    if options.json:
-        sys.stdout.buffer.write(msgspec.json.encode({"ok": not to_do, "checks": checks}) + b"\n")
     return int(to_do > 0)
 
 

@@ -1,8 +1,8 @@
 """What the doctor works with: a sample of what a pad sends, and the result of a check."""
 
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -24,14 +24,12 @@ class Check:
 
     verdict: "ok"; "warning" (touchd copes); "to do" (does not work, or not well, until `advice` is
     followed); "not checked" (`found` says why).
-    figures: measurements; names carry units.
     """
 
     name: str
     verdict: Verdict
     found: str
     advice: str = ""
-    figures: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         # It may contain a robot's answer, which may span lines.

@@ -93,11 +93,10 @@ def _other_baud(sensor: SensorSettings, opened: Line) -> int | None:
 def check_damage(sample: Sample) -> Check:
     """Report how many frames were damaged."""
     share = sample.damaged / (sample.damaged + len(sample.frames))
-    figures = {"frames": float(len(sample.frames)), "damaged": float(sample.damaged)}
     found = f"{len(sample.frames)} frames intact, {sample.damaged} damaged"
     if share > MANY_SHARE:
-        return Check("line", "to do", found, "try a shorter cable, another USB port, no hub", figures)
-    return Check("line", "ok" if share <= CLEAN_SHARE else "warning", found, "", figures)
+        return Check("line", "to do", found, "try a shorter cable, another USB port, no hub")
+    return Check("line", "ok" if share <= CLEAN_SHARE else "warning", found)
 
 
 def check_rate(sample: Sample) -> Check:
@@ -106,25 +105,18 @@ def check_rate(sample: Sample) -> Check:
         return Check("rate", "to do", "the frames stopped during the check", "try another cable")
     pace = pace_of(sample.frames)
     waits_ms = 1000 * np.diff([frame.host_s for frame in sample.frames])
-    figures = {
-        "rate_hz": round(pace.rate_hz, 2),
-        "jitter_ms": round(pace.jitter_ms, 2),
-        "arrival_jitter_ms": round(float(waits_ms.std()), 2),
-        "longest_wait_ms": round(float(waits_ms.max()), 1),
-        "lost": float(pace.lost),
-    }
     by_clock = f"{pace.jitter_ms:.1f} ms by the pad's clock, " if sample.has_clock else ""
     found = (
-        f"{pace.rate_hz:.1f} frames/s, jitter {by_clock}{figures['arrival_jitter_ms']:.1f} ms on arrival, "
-        f"longest wait {figures['longest_wait_ms']:.0f} ms"
+        f"{pace.rate_hz:.1f} frames/s, jitter {by_clock}{waits_ms.std():.1f} ms on arrival, "
+        f"longest wait {waits_ms.max():.0f} ms"
     )
     clock = clock_by_ours(sample.frames)
     if abs(clock - 1) > CLOCK_TOLERANCE:
         found += f"; its clock runs {clock:.2f} times as fast as this machine's"
-        return Check("rate", "to do", found, SEND_A_CLOCK, figures)
+        return Check("rate", "to do", found, SEND_A_CLOCK)
     for below_hz, verdict, words in TOO_SLOW:
         if round(pace.rate_hz) < below_hz:
-            return Check("rate", verdict, f"{found}; {words}", SCAN_FASTER, figures)
+            return Check("rate", verdict, f"{found}; {words}", SCAN_FASTER)
     if pace.lost > CLEAN_SHARE * len(sample.frames):
-        return Check("rate", "warning", f"{found}; {pace.lost} frames lost on the way", "", figures)
-    return Check("rate", "ok", found, "", figures)
+        return Check("rate", "warning", f"{found}; {pace.lost} frames lost on the way")
+    return Check("rate", "ok", found)

@@ -44,19 +44,18 @@ MANY_SHARE = 0.02
 def check_rest(sample: Sample, settings: Settings) -> Check:
     """Report the pad's counts at rest, and whether `invert` is right."""
     level = np.median(sample.counts(), axis=0)
-    figures = {"rest_counts": round(float(level.mean()), 1), "highest_rest_counts": float(level.max())}
     found = f"{level.mean():.1f} counts a taxel, {level.max():.0f} at most"
     if level.mean() > WRONG_WAY_COUNTS:
-        return Check("rest", "to do", f"{found}: upside down", _turned_over(settings), figures)
+        return Check("rest", "to do", f"{found}: upside down", _turned_over(settings))
     # A pad may rest high everywhere, and unevenly; an object raises some taxels far above the median.
     lies = level > LOADED_COUNTS + 2 * np.median(level)
     if lies.any():
         where = places(lies)
         advice = "take it off; if nothing does, look for a short there"
-        return Check("rest", "to do", f"{found}: something lies on {where}", advice, figures)
+        return Check("rest", "to do", f"{found}: something lies on {where}", advice)
     if level.mean() > KNOWN_REST_COUNTS:
         found += "; what a touch adds to that is recognised"
-    return Check("rest", "ok", found, "", figures)
+    return Check("rest", "ok", found)
 
 
 def check_quiet(sample: Sample, settings: Settings) -> Check:
@@ -64,36 +63,33 @@ def check_quiet(sample: Sample, settings: Settings) -> Check:
     ring, tracker = Ring(1), tracker_of(settings.pipeline, Classifier.load(), Detector.load())
     laid = (laid for frame in sample.frames for laid in ring.push(frame))
     touches = sum(isinstance(tracker.update(frame), Onset) for frame in laid)
-    figures = {"touches": float(touches)}
     if touches == 0:
-        return Check("quiet", "ok", "no touch was detected while the pad was left alone", "", figures)
+        return Check("quiet", "ok", "no touch was detected while the pad was left alone")
     advice = "if you did not touch it: look for a loose wire with touchd run --view"
     if settings.touch.sensitivity != "low":
         advice += ", or set touch.sensitivity to low"
     times = "a touch was" if touches == 1 else f"{touches} touches were"
-    return Check("quiet", "to do", f"{times} detected while listening", advice, figures)
+    return Check("quiet", "to do", f"{times} detected while listening", advice)
 
 
 def check_noise(sample: Sample) -> Check:
     """Report the noise between frames, and its cause: hum, a loose line, a taxel. A touch raises it."""
     counts = sample.counts().astype(np.float64)
     noise = np.diff(counts, axis=0).std(axis=0) / np.sqrt(2.0)
-    usual, highest = float(np.median(noise)), float(noise.max())
-    figures = {"noise_counts": round(usual, 2), "highest_noise_counts": round(highest, 2)}
-    found = f"{usual:.1f} counts a taxel, {highest:.1f} at most"
+    found = f"{np.median(noise):.1f} counts a taxel, {noise.max():.1f} at most"
     loud = noise > MOST_NOISE_COUNTS
     is_loud = loud.sum() > ROWS * COLUMNS // 2
     supply = "try another USB port or supply, and a cable away from motors; connect the grounds"
     wires = "look at the wires and plugs there; light touches are missed until they are mended"
     if hum := _hum(counts, pace_of(sample.frames).rate_hz):
-        return Check("noise", "to do" if is_loud else "warning", f"{found}: {hum}", supply, figures)
+        return Check("noise", "to do" if is_loud else "warning", f"{found}: {hum}", supply)
     if is_loud:
-        return Check("noise", "to do", f"{found}: the whole pad is noisy", supply, figures)
+        return Check("noise", "to do", f"{found}: the whole pad is noisy", supply)
     if line := _loose_line(counts):
-        return Check("noise", "to do", f"{found}: the values of {line} jump together", wires, figures)
+        return Check("noise", "to do", f"{found}: the values of {line} jump together", wires)
     if loud.any():
-        return Check("noise", "to do", f"{found}: {places(loud)} is noisy", wires, figures)
-    return Check("noise", "ok", found, "", figures)
+        return Check("noise", "to do", f"{found}: {places(loud)} is noisy", wires)
+    return Check("noise", "ok", found)
 
 
 def _hum(counts: NDArray[np.float64], rate_hz: float) -> str:
