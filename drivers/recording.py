@@ -147,7 +147,11 @@ def write_recordings(path: Path, recordings: Sequence[Recording], provenance: Ma
     if any(_keys(earlier) == _keys(later) for earlier, later in pairwise(recordings)):
         raise RecordingError(f"{path}: two in a row share participant, condition and gesture")
     try:
-        with whole_file(path, replace=False, mode=PRIVATE_MODE) as partial, _new_text(partial) as file:
+        opened = gzip.open if path.suffix == ".gz" else open
+        with (
+            whole_file(path, replace=False, mode=PRIVATE_MODE) as partial,
+            opened(partial, "xt", encoding="utf-8", newline="") as file,
+        ):
             for key, value in provenance.items():
                 file.write(f"# {key}: {' '.join(value.split())}\n")
             writer = csv.writer(file, lineterminator="\n")
@@ -251,12 +255,6 @@ class _Layout(NamedTuple):
 
 def _keys(recording: Recording) -> Keys:
     return (*set_up(recording), recording.gesture)
-
-
-def _new_text(path: Path) -> IO[str]:
-    if path.suffix == ".gz":
-        return cast(IO[str], gzip.open(path, "xt", encoding="utf-8", newline=""))
-    return path.open("x", encoding="utf-8", newline="")
 
 
 @contextmanager
