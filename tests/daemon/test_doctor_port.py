@@ -30,18 +30,17 @@ class Machine:
             monkeypatch.setattr(doctor_port, name, root / folder)
         monkeypatch.setattr(doctor_port, "comports", lambda: self.ports)
 
-    def plug(self, tty: str, socket: str, serial: str, vid: int = 0x2341) -> str:
+    def plug(self, socket: str, serial: str) -> str:
         """Plug in a board; return its device. udev's name by id is the same for boards that look the same."""
-        device = self.root / tty
+        device = self.root / f"ttyACM{len(self.ports)}"
         device.touch()
         port = ListPortInfo(str(device))
-        port.vid, port.pid, port.serial_number, port.location = vid, 0x42, serial or None, socket
+        port.vid, port.pid, port.serial_number, port.location = 0x2341, 0x42, serial or None, socket
         self.ports.append(port)
-        interface = socket.partition(":")[2]
-        by_id = self.root / f"by-id/usb-{vid:x}_{serial}-{interface}"
+        by_id = self.root / f"by-id/{serial}-if{socket.partition(':')[2]}"
         by_id.unlink(missing_ok=True)
         by_id.symlink_to(device)
-        (self.root / f"by-path/pci-{socket}").symlink_to(device)
+        (self.root / f"by-path/{socket}").symlink_to(device)
         return str(device)
 
 
@@ -50,47 +49,44 @@ def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Machine:
     return Machine(tmp_path, monkeypatch)
 
 
-def named(port: str) -> tuple[str, str]:
-    name = lasting_name(port)
-    return Path(name.port).name, name.why
-
-
 @pytest.mark.parametrize(
-    "sockets", [("1-1", "1-2"), ("1-1:1.0", "1-1:1.2")], ids=["two boards", "a board with two ports"]
+    ("boards", "names", "why"),
+    [
+        ([("1-1", "A17"), ("1-2", "B4")], ["A17-if", "B4-if"], "this board, by its serial number"),
+        ([("1-1:1.0", "A17"), ("1-1:1.2", "A17")], ["A17-if1.0", "A17-if1.2"], "this board"),
+        ([("1-1", ""), ("1-2", "")], ["1-1", "1-2"], "this socket; the board has no serial number"),
+        (
+            [("1-1", "1"), ("1-2", "1")],
+            ["1-1", "1-2"],
+            "this socket; another board has the same serial number",
+        ),
+    ],
+    ids=["two boards", "a board with two ports", "without a number", "with the same number"],
 )
-def test_a_board_with_a_serial_number_is_named_by_it(machine: Machine, sockets: tuple[str, str]) -> None:
-    serials = ("A17", "B4") if sockets[1] == "1-2" else ("A17", "A17")
-    for number, (socket, serial) in enumerate(zip(sockets, serials, strict=True)):
-        device = machine.plug(f"ttyACM{number}", socket, serial)
-        name, why = named(device)
-        assert name == f"usb-2341_{serial}-{socket.partition(':')[2]}"
-        assert "serial number" in why
-
-
-@pytest.mark.parametrize("serial", ["", "0001"], ids=["without a number", "with the same number"])
-def test_boards_that_look_the_same_are_named_by_their_socket(machine: Machine, serial: str) -> None:
-    devices = [machine.plug(f"ttyUSB{n}", f"1-{n}", serial, 0x1A86) for n in range(2)]
-    names = [named(device) for device in devices]
-    assert [name for name, _ in names] == ["pci-1-0", "pci-1-1"]
-    assert all(why.startswith("it stays with this socket; ") for _, why in names)
+def test_a_port_gets_the_name_that_lasts(
+    machine: Machine, boards: list[tuple[str, str]], names: list[str], why: str
+) -> None:
+    found = [lasting_name(device) for device in [machine.plug(*board) for board in boards]]
+    assert [Path(name.port).name for name in found] == names
+    assert all(name.why.startswith(f"it stays with {why}") for name in found)
 
 
 def test_a_board_without_a_number_or_socket_has_its_name_by_id(machine: Machine) -> None:
-    device = machine.plug("ttyUSB0", "1-1", "", 0x1A86)
-    (machine.root / "by-path/pci-1-1").unlink()
-    assert named(device)[0] == "usb-1a86_-"
+    device = machine.plug("1-1", "")
+    (machine.root / "by-path/1-1").unlink()
+    assert Path(lasting_name(device).port).name == "-if"
 
 
 def test_a_board_with_the_udev_rules_name_is_named_by_its_number(machine: Machine) -> None:
     link = machine.root / "touchd-pad"
-    link.symlink_to(machine.plug("ttyACM0", "1-1", "A17"))
-    assert named(str(link))[0] == "usb-2341_A17-"
+    link.symlink_to(machine.plug("1-1", "A17"))
+    assert Path(lasting_name(str(link)).port).name == "A17-if"
 
 
 def test_a_port_without_another_name_keeps_its_own(machine: Machine) -> None:
     uart, chosen = machine.root / "ttyAMA0", machine.root / "pad-left"
     uart.touch()
-    chosen.symlink_to(machine.plug("ttyACM0", "1-1", "A17"))
+    chosen.symlink_to(machine.plug("1-1", "A17"))
     for port in (str(uart), str(chosen), "tcp://pad:4000", "/dev/touchd-none"):
         assert lasting_name(port).port == port
 

@@ -17,7 +17,7 @@ from touchd.drivers.fakes.encode import encode_values
 from touchd.drivers.pad.format import PRESETS, PadFormat, layout_of
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.search.listen import Chunk, likelihood
-from touchd.drivers.search.search import Finding, as_yaml, search, survey
+from touchd.drivers.search.search import Finding, as_yaml, search
 
 SIDES = st.integers(4, 32)
 
@@ -238,12 +238,6 @@ def test_a_megabyte_is_searched_in_bounded_time_and_memory() -> None:
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb < 200_000
     assert finding.proposed is not None
     assert (finding.proposed.rows, finding.proposed.columns) == (32, 32)
-
-
-def test_the_rate_of_a_large_pad_is_that_of_all_its_frames() -> None:
-    seen = survey(chunks_of(PadFormat(header="aa55", rows=64, columns=64, cell="u16"), rate_hz=20))
-    assert seen is not None
-    assert round(seen.rate_hz) == 20
 
 
 def test_baud_rates_rank_text_then_frames_then_nothing() -> None:
