@@ -16,7 +16,7 @@ from touchd.daemon.path.monitor import PadMonitor
 from touchd.daemon.path.pipeline import Pipeline, Viewers
 from touchd.daemon.robot.sink import link_to_robot
 from touchd.daemon.sinks.journal import open_journal
-from touchd.daemon.sinks.labels import Labeller, make_labeller
+from touchd.daemon.sinks.labels import Labeller
 from touchd.daemon.sinks.sink import Sink
 from touchd.daemon.sinks.touch_store import TouchSink, keep_touches
 from touchd.drivers.errors import written_out
@@ -98,12 +98,13 @@ def _with_sinks(
     sinks: list[Sink] = []
     kept: TouchSink | None = None
     live: LiveServer | None = None
-    labeller = make_labeller(settings, models, emit)
     if settings.journal is not None:
         sinks.append(open_journal(settings.journal))
         if settings.journal.keep_touches is not None:
             kept = keep_touches(settings)
             sinks.append(kept)
+    gestures = {name: model.labels for name, model in models.items()}
+    labeller = Labeller(emit, gestures, are_kept=kept is not None)
     if settings.live is not None:
         # It brings asyncio and websockets, which no daemon without a page needs.
         from touchd.daemon.live.server import open_live_page

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Annotated
 
 import msgspec
-from websockets.asyncio.server import ServerConnection, broadcast
+from websockets.asyncio.server import ServerConnection
 
 from touchd.daemon.live.memory import Memory
 from touchd.daemon.path.events import Count
@@ -45,11 +45,9 @@ class Labels:
         if touch is None:
             return "no such touch"
         try:
-            advice = self._labeller.label(touch, said.gesture)
+            self._labeller.label(touch, said.gesture)
         except LabelError:
             return "no such gesture"
-        if advice:
-            broadcast([viewer], msgspec.json.encode({"type": "advice", "text": advice}).decode())
         return ""
 
 

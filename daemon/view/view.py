@@ -166,8 +166,8 @@ class View:
             return
         gesture = keys_of(self.labeller.gestures[self._shown_pad]).get(key)
         touch = self._touch
-        if gesture and touch and (advice := self.labeller.label(touch.began, gesture)):
-            self.note(advice)
+        if gesture and touch:
+            self.labeller.label(touch.began, gesture)
 
     def put(self, event: Event | LivePrediction) -> None:
         if not isinstance(event, RobotEvent) and event.pad != self._shown_pad:

@@ -24,7 +24,7 @@ GESTURES = ("notouch", "pat", "stroke")
 
 def test_a_label_is_an_event_like_any_other() -> None:
     events: list[Event] = []
-    Labeller(events.append, {"left": GESTURES}, {}).label(replace(touch(7), pad="left"), "pat")
+    Labeller(events.append, {"left": GESTURES}, are_kept=True).label(replace(touch(7), pad="left"), "pat")
     (label,) = events
     assert isinstance(label, Label)
     assert (label.pad, label.touch, label.began, label.gesture) == ("left", 7, touch(7).time, "pat")
@@ -35,7 +35,7 @@ def test_a_label_is_an_event_like_any_other() -> None:
 def test_a_label_of_something_unknown_is_refused(gesture: str) -> None:
     events: list[Event] = []
     with pytest.raises(LabelError):
-        Labeller(events.append, {"pad": GESTURES}, {}).label(touch(7), gesture)
+        Labeller(events.append, {"pad": GESTURES}, are_kept=True).label(touch(7), gesture)
     assert events == []
 
 
@@ -44,17 +44,13 @@ def test_the_gestures_keys_do_not_depend_on_other() -> None:
     assert keys_of(("constant", "notouch", "other", "pat")) == without | {"3": "other"}
 
 
-def test_each_ten_labelled_touches_say_how_to_learn(tmp_path: Path) -> None:
-    labeller = Labeller(lambda _: None, {"pad": GESTURES}, {"pad": tmp_path / "a b"})
-    said = [labeller.label(touch(number), "pat") for number in (1, 2, 2, 2, *range(3, 21))]
-    assert [bool(line) for line in said] == [*[False] * 11, True, *[False] * 9, True]
-    assert f"train --keep-all --extra '{tmp_path}/a b'" in said[11]
-
-
-def test_without_kept_frames_it_says_how_to_keep_them() -> None:
-    labeller = Labeller(lambda _: None, {"pad": GESTURES}, {})
-    said = [labeller.label(touch(number), "pat") for number in range(10)]
-    assert "journal.keep_touches" in said[-1]
+def test_labels_that_teach_nothing_are_warned_of_once(caplog: pytest.LogCaptureFixture) -> None:
+    for are_kept in (True, False):
+        labeller = Labeller(lambda _: None, {"pad": GESTURES}, are_kept=are_kept)
+        for number in (1, 2, 3):
+            labeller.label(touch(number), "pat")
+    (warning,) = caplog.messages
+    assert warning.startswith("set journal.keep_touches")
 
 
 def test_a_key_says_what_the_touch_on_the_screen_was(tmp_path: Path) -> None:

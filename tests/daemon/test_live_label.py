@@ -8,7 +8,6 @@ import msgspec
 import pytest
 from rigs.browser import show_in
 from rigs.made_events import PREDICTION, TIME
-from rigs.made_events import touch as made_touch
 from rigs.wait import WITHIN_S, wait_for
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
@@ -23,7 +22,7 @@ from touchd.daemon.live import server
 from touchd.daemon.live.label import is_here
 from touchd.daemon.live.server import LiveServer, open_live_page
 from touchd.daemon.path.events import Event, Label, TouchBegan, TouchEnded
-from touchd.daemon.sinks.labels import ENOUGH, Labeller, make_labeller
+from touchd.daemon.sinks.labels import Labeller
 
 SAID = '{"pad":"pad","touch":1,"gesture":"stroke"}'
 
@@ -42,9 +41,8 @@ def refusal(url: str, message: str, **options: Any) -> str:
 class Labelled:
     """A page that takes labels, after one touch; events: those that the labels caused."""
 
-    def __init__(self, page: LiveServer, labeller: Labeller, events: list[Event]) -> None:
+    def __init__(self, page: LiveServer, events: list[Event]) -> None:
         self.page = page
-        self.labeller = labeller
         self.events = events
         self.port = page.listening.getsockname()[1]
 
@@ -70,10 +68,10 @@ def labelled(monkeypatch: pytest.MonkeyPatch) -> Iterator[Labelled]:
         page.put(event)
 
     models = {"pad": load_model(settings)}
-    labeller = make_labeller(settings, models, emit)
+    labeller = Labeller(emit, {"pad": models["pad"].labels}, are_kept=True)
     page = open_live_page(settings, models, labeller)
     page.start()
-    rig = Labelled(page, labeller, events)
+    rig = Labelled(page, events)
     with connect(rig.stream) as viewer:
         # The page's state: from now on, events are shown here too.
         viewer.recv(timeout=WITHIN_S)
@@ -110,14 +108,6 @@ def test_buttons_say_what_the_last_or_a_listed_touch_was(chrome: Chrome, labelle
     chrome.refresh()
     pressed = "#labels button[aria-pressed=true]"
     wait_for(lambda: [one.text for one in chrome.find_elements(By.CSS_SELECTOR, pressed)] == ["stroke"])
-
-
-def test_after_ten_labels_the_page_says_how_to_learn(chrome: Chrome, labelled: Labelled) -> None:
-    for number in range(2, ENOUGH + 1):
-        labelled.labeller.label(made_touch(number), "pat")
-    chrome.get(f"http://127.0.0.1:{labelled.port}/")
-    wait_for(lambda: chrome.find_elements(By.CSS_SELECTOR, "#labels button"))[0].click()
-    wait_for(lambda: "10 touches labelled" in chrome.find_element(By.ID, "advice").text)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import { make, nameOf } from "./words.js";
 
 const HERE = ["localhost", "[::1]"];
 const isHere = HERE.includes(location.hostname) || location.hostname.startsWith("127.");
-const [fieldset, advice] = [document.getElementById("labels"), document.getElementById("advice")];
+const fieldset = document.getElementById("labels");
 const buttons = new Map();
 let store = null;
 let chosen = null;
@@ -40,7 +40,7 @@ export function useLabels(scene, send) {
     });
     buttons.set(gesture, button);
   }
-  advice.before(...buttons.values());
+  fieldset.append(...buttons.values());
 }
 
 /** Mark what the chosen touch was, or else the last one, if anybody has said so. */
@@ -51,9 +51,4 @@ export function showLabels(shown) {
   fieldset.firstElementChild.textContent = chosen ? `Touch ${chosen.touch} was` : "That was";
   const said = store.said.get((chosen ?? store.touch?.began)?.touch);
   for (const [gesture, button] of buttons) button.setAttribute("aria-pressed", gesture === said);
-}
-
-export function showAdvice(text) {
-  advice.textContent = text;
-  advice.hidden = false;
 }

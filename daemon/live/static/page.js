@@ -3,7 +3,7 @@
 import "./older.js";
 import { announce } from "./announce.js";
 import { describePressure, HeatMap, showMarks, Trail } from "./heat.js";
-import { followChoice, showAdvice, showLabels, useLabels } from "./label.js";
+import { followChoice, showLabels, useLabels } from "./label.js";
 import { TimeLine } from "./line.js";
 import { connect } from "./link.js";
 import * as show from "./show.js";
@@ -111,10 +111,6 @@ function onMessage(message) {
     useTouch(message.touchable, send);
     useLabels(message, send);
     document.body.toggleAttribute("data-pad-only", message.labels.length === 0);
-  }
-  if (message.type === "advice") {
-    showAdvice(message.text);
-    return;
   }
   for (const told of message.pad === undefined ? stores.values() : [stores.get(message.pad)]) told.apply(message);
   if (message.type === "prediction") announceAnswer(message);
