@@ -13,7 +13,6 @@ from rigs.made_pad import MadePad, nothing, palm
 from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S
 
-from touchd.daemon.app import cli
 from touchd.daemon.app.config import Settings, load
 from touchd.daemon.commands import teach
 from touchd.daemon.commands.teach import how_to_use
@@ -54,17 +53,6 @@ def test_a_model_not_known_to_be_better_is_not_recommended() -> None:
     said = how_to_use(Path("lab.onnx"), None, None, is_better=False)
     assert "keep the model that you have" in said
     assert "To use it all the same, set in touchd.yaml:" in said
-
-
-def test_a_stopped_session_does_not_end_as_a_finished_one(tmp_path: Path) -> None:
-    pytest.importorskip("torch")
-    stream = Stream(np.zeros((540, 8, 8), np.uint16), ideal_clock_ms(540), ())
-    with FakePort(stream, encode_fabric_grid, loop=True) as port:
-        options = ["--port", port.path, "--participant", "anna"]
-        with Terminal("teach", str(tmp_path / "lab"), *options) as terminal:
-            terminal.until("q to stop:")
-            terminal.answer("q", "the same command continues from here.")
-            assert terminal.process.wait(WITHIN_S) == 1
 
 
 @pytest.mark.parametrize(("asked", "missing"), [([], []), (["--other"], ["other"])])
@@ -111,12 +99,3 @@ def test_one_command_leads_from_pad_to_model(tmp_path: Path, monkeypatch: pytest
     assert f'model: "{model}"' in terminal.shown
     assert "pat" in Classifier.load(model).labels
     assert "after 1.00 s" in terminal.shown
-
-
-def test_a_bad_name_is_refused_before_reading_the_pad(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as ended:
-        cli.main(["teach", str(tmp_path / "lab"), "--participant", "a b"])
-    assert ended.value.code == 2
-    assert "a name has letters" in capsys.readouterr().err

@@ -22,7 +22,6 @@ from rigs.haart_folder import (
 
 from touchd.drivers.recording import Recording, ideal_clock_ms, write_recordings
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
-from touchd.model.settings import LENGTHS
 from touchd.model.studies.checks import evaluate
 from touchd.model.studies.simulated import simulate
 from touchd.model.training import haart, second_study, third_study
@@ -237,18 +236,6 @@ def test_a_gesture_that_a_study_lacks_is_not_an_answer(classifier: Classifier) -
     assert sum(row[tickle] for row in free.confusion) > 0
     assert sum(row[tickle] for row in scored.confusion) == 0
     assert "tickle" not in scored.per_class
-
-
-@needs_haart
-@pytest.mark.slow
-@pytest.mark.timeout(300)
-def test_the_headline_is_printed_from_haart_alone(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["evaluate", "--haart", str(HAART), "--second-study", "none"]) == 0
-    test, paper, *_ = capsys.readouterr().out.splitlines()[1:]
-    ours = [float(figure) for figure in test.split()[-3:]]
-    published = [stored(read_scores(SHIPPED_MODEL.with_name(SCORES_NAME)).test.realigned, n) for n in LENGTHS]
-    assert ours == pytest.approx([100 * row.accuracy for row in published], abs=0.2)
-    assert paper.split()[-3:] == ["70.8", "71.1", "72.8"]
 
 
 def whole_takes(takes: int) -> Recording:
