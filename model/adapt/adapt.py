@@ -86,16 +86,16 @@ def adapt(
     forgotten = [OTHER] * MORE_OTHER if OTHER not in recorded else []
     rehearsed = pretrained.remembered.samples([*labels, *forgotten], settings.seed)
     shown = crops(pretrained.backbone, recordings, pretrained.augmentation, settings.crops, settings.seed)
-    planned = plan(recordings)
-    trained = [*(fold.trained for fold in planned.folds), tuple(range(len(recordings)))]
+    left_out, folds = plan(recordings)
+    trained = [*(fold.trained for fold in folds), tuple(range(len(recordings)))]
     bar = tqdm(trained, desc="adapting", bar_format=BAR, leave=False, disable=None)
     *heads, head = [fit(begin, labels, new, shown.of(own), rehearsed, settings) for own in bar]
-    turns = list(zip(heads, planned.folds, strict=True))
+    turns = list(zip(heads, folds, strict=True))
     scored = {
         frames: _scored(begin, turns, own, recordings, labels, known)
         for frames, own in windows(pretrained.backbone, recordings).items()
     }
-    return Adapted(known, labels, tuple(recordings), head, compare(scored, known, planned.left_out))
+    return Adapted(known, labels, tuple(recordings), head, compare(scored, known, left_out))
 
 
 def _scored(

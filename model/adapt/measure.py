@@ -35,16 +35,8 @@ class Fold:
     evaluated: tuple[int, ...]
 
 
-@dataclass(frozen=True)
-class Plan:
-    """What is held out, and the folds."""
-
-    left_out: LeftOut
-    folds: tuple[Fold, ...]
-
-
-def plan(recordings: Sequence[Recording]) -> Plan:
-    """Return the folds; none if there are too few recordings to hold any out."""
+def plan(recordings: Sequence[Recording]) -> tuple[LeftOut, list[Fold]]:
+    """Return what is held out, and the folds; none if there are too few recordings to hold any out."""
     people = sorted({recording.participant for recording in recordings})
     left_out: LeftOut = "participants"
     fold_of = [people.index(recording.participant) % MOST_PARTICIPANT_FOLDS for recording in recordings]
@@ -63,7 +55,7 @@ def plan(recordings: Sequence[Recording]) -> Plan:
         # With one label, accuracy is trivially 100 %.
         if evaluated and len(gestures) > 1:
             folds.append(Fold(trained, evaluated))
-    return Plan(left_out if folds else "nothing", tuple(folds))
+    return left_out if folds else "nothing", folds
 
 
 @dataclass(frozen=True)

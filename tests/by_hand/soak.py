@@ -9,7 +9,7 @@ to a stand-in robot that is switched off and on, the live page, with a viewer no
 broker that comes and goes (if mosquitto is installed). The pad is unplugged at times, its board restarts,
 its line has bursts of garbage, and some touches are in passing. The pad is another program, its line a pipe,
 which waits for the daemon's parts; a serial port does not wait, and frames would be dropped. Ends with exit
-code 1 when anything grew or was lost; a run that --minutes cut short says how many hours it was.
+code 1 when anything grew or was lost.
 """
 
 import argparse
@@ -154,8 +154,8 @@ class Soak:
         self.viewer = Viewer(port)
         self._pipeline = Pipeline(settings.pipeline, model, self._emit)
 
-    def run(self, line: Iterable[bytes], hours: float, until_s: float) -> dict[str, object]:
-        """Read `hours` of sensor time from a pad, at most until `until_s`; return the figures."""
+    def run(self, line: Iterable[bytes], hours: float) -> dict[str, object]:
+        """Read `hours` of sensor time from a pad; return the figures."""
         began_s, began_cpu_s, frames = time.monotonic(), time.process_time(), 0
         self._measure()
         for data in line:
@@ -171,7 +171,7 @@ class Soak:
                 self._unplug()
             if frames // HOUR_FRAMES != before // HOUR_FRAMES:
                 self._measure()
-            if frames >= hours * HOUR_FRAMES or time.monotonic() >= until_s:
+            if frames >= hours * HOUR_FRAMES:
                 break
         self._pipeline.flush()
         took_s, took_cpu_s = time.monotonic() - began_s, time.process_time() - began_cpu_s
@@ -279,11 +279,10 @@ def main() -> int:
     """Soak, and write the figures; returns 1 when anything grew or was lost."""
     parser = argparse.ArgumentParser(description="A day of sensor time, flat out: nothing grows or is lost.")
     parser.add_argument("--hours", type=float, default=24.0, help="of sensor time (default 24)")
-    parser.add_argument("--minutes", type=float, default=1e6, help="end after this many minutes of real time")
     parser.add_argument("--out", type=Path, help="write the figures there too, as JSON")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="touchd-soak-") as folder, pad() as line:
-        figures = Soak(Path(folder)).run(line, options.hours, time.monotonic() + 60 * options.minutes)
+        figures = Soak(Path(folder)).run(line, options.hours)
     text = json.dumps(figures, indent=1) + "\n"
     sys.stdout.write(text)
     if options.out:

@@ -27,7 +27,7 @@ def final(touch: int = 1, **changes: Any) -> Prediction:
 def test_a_short_soak_passes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("TOUCHD_HAART", raising=False)
     with pad() as line:
-        figures = Soak(tmp_path).run(line, hours=0.012, until_s=float("inf"))
+        figures = Soak(tmp_path).run(line, hours=0.012)
     holds = figures["holds"]
     assert isinstance(holds, dict)
     assert [what for what, held in holds.items() if not held] == []

@@ -361,10 +361,10 @@ def labelled(text: str) -> list[Recording]:
 )
 def test_people_or_else_recordings_are_held_out(made: str, left_out: str, evaluated: list[int]) -> None:
     recordings = labelled(made)
-    planned = plan(recordings)
-    assert planned.left_out == left_out
-    assert sorted(i for fold in planned.folds for i in fold.evaluated) == evaluated
-    for fold in planned.folds:
+    held, folds = plan(recordings)
+    assert held == left_out
+    assert sorted(i for fold in folds for i in fold.evaluated) == evaluated
+    for fold in folds:
         assert not {*fold.trained} & {*fold.evaluated}
         if left_out == "participants":
             trained, held = (
