@@ -121,7 +121,7 @@ def big(word: str, width: int) -> list[str]:
 
     If the word does not fit or has other letters, return it plain.
     """
-    if not set(word.upper()) <= LETTERS.keys():
+    if not word or not set(word.upper()) <= LETTERS.keys():
         return [word]
     rows = [".".join(row) for row in zip(*(LETTERS[letter] for letter in word.upper()), strict=True)]
     if 2 * len(rows[0]) <= width:
