@@ -34,13 +34,15 @@ MOST_NAMES = 64
 # ioctl(2), netdevice(7): the address of an interface.
 SIOCGIFADDR = 0x8915
 
-# Of a connection. The last three notice a network that drops everything after 10 s, while nothing is sent.
+# Of a connection. The last four notice after 10 s that a network drops everything or a peer reads nothing, both
+# while nothing is sent and while bytes wait, which must not arrive much later.
 OPTIONS = (
     (socket.IPPROTO_TCP, socket.TCP_NODELAY, 1),
     (socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1),
     (socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, 4),
     (socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, 2),
     (socket.IPPROTO_TCP, socket.TCP_KEEPCNT, 3),
+    (socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, 10_000),
 )
 
 Address: TypeAlias = tuple[socket.AddressFamily, Any]

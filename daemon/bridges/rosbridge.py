@@ -26,8 +26,6 @@ CONNECTION: Mapping[str, Any] = {
     "compression": None,
     "proxy": None,
 }
-# While a send blocks, websockets can neither ping nor notice a missing answer.
-UNTAKEN_MS = 10_000
 # Message types as both ROS 1 and ROS 2 servers accept them.
 STRING, IMAGE = "std_msgs/String", "sensor_msgs/Image"
 
@@ -52,7 +50,6 @@ class RosbridgeBridge(Bridge):
             line = hosts.connect(*self._settings.address, CONNECT_S, self._ending)
             with connect(url, sock=line, **CONNECTION) as connection:
                 _limit(connection, limit)
-                connection.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, UNTAKEN_MS)
                 self._connection = connection
                 for name, kind in (("gesture", STRING), ("event", STRING), ("pressure", IMAGE)):
                     topic = f"{self._prefix}/{name}"

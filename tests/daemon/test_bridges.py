@@ -20,6 +20,7 @@ from rigs.wait import WITHIN_S, wait_for
 
 from touchd.daemon.bridges.bridge import Bridge
 from touchd.daemon.path.events import Label
+from touchd.drivers import hosts
 
 KINDS = {
     "mqtt": ("paho.mqtt", MqttPeer, [needs_mosquitto]),
@@ -229,7 +230,9 @@ def test_a_server_that_takes_nothing_is_left(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     pytest.importorskip("websockets")
-    monkeypatch.setattr("touchd.daemon.bridges.rosbridge.UNTAKEN_MS", 300)
+    # While a send blocks, websockets can neither ping nor notice a missing answer.
+    limit = (socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, 300)
+    monkeypatch.setattr(hosts, "OPTIONS", (*hosts.OPTIONS[:-1], limit))
     with closing(RosbridgePeer(tmp_path)) as peer, attackers.server(peer.port, take_nothing):
         bridge = peer.bridge()
         # Enough to fill the kernel's buffers for the peer before the first ping.
