@@ -34,8 +34,8 @@ MOST_NAMES = 64
 # ioctl(2), netdevice(7): the address of an interface.
 SIOCGIFADDR = 0x8915
 
-# Of a connection. The last four notice after 10 s that a network drops everything or a peer reads nothing, both
-# while nothing is sent and while bytes wait, which must not arrive much later.
+# Of a connection. The last four notice after 10 s that a network drops everything or a peer reads nothing,
+# both while nothing is sent and while bytes wait; those must not arrive much later.
 OPTIONS = (
     (socket.IPPROTO_TCP, socket.TCP_NODELAY, 1),
     (socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1),
