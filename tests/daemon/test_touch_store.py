@@ -1,11 +1,10 @@
 """Kept touches: the frames as sent, whole files, a bounded number, no delay for the loop."""
 
 import os
-import random
 import shutil
-import sys
 import threading
-import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,6 @@ import numpy as np
 import pytest
 from rigs.ended_touch import ended_touch, read_frames
 from rigs.made_pad import MadePad, Scans, nothing, palm, pat
-from rigs.programs import Program
 from rigs.scripted_model import Scripted
 from rigs.small_disk import log_on_small_disk, needs_small_disk
 from rigs.wait import WITHIN_S
@@ -37,9 +35,9 @@ from touchd.daemon.sinks.touch_store import (
 )
 from touchd.drivers.frame import DEFAULT_PAD, NO_TOUCH, Frame
 from touchd.drivers.recording import UNLABELLED, RecordingError, read_provenance, read_recordings
+from touchd.drivers.whole_file import PARTIAL
 
 PERIOD_MS = 1000 / 54
-TESTS = Path(__file__).parents[1]
 
 
 class StoreBench:
@@ -82,6 +80,14 @@ class StoreBench:
 @pytest.fixture
 def store(tmp_path: Path) -> TouchStore:
     return TouchStore(tmp_path / "touches", 20, "a made pad")
+
+
+@contextmanager
+def sinking(store: TouchStore) -> Iterator[TouchSink]:
+    sink = TouchSink({"pad": store})
+    sink.start()
+    yield sink
+    sink.stop(WITHIN_S)
 
 
 @pytest.fixture
@@ -132,16 +138,13 @@ def test_a_touch_that_never_ends_takes_a_minute_at_most(bench: StoreBench) -> No
 
 
 def test_a_fast_pads_touch_is_kept_from_its_beginning(store: TouchStore, tmp_path: Path) -> None:
-    sink = TouchSink({"pad": store})
-    sink.start()
-    for ms in range(0, 7000, 2):
-        sink.put_frame(Frame(ms, 0.0, np.zeros((8, 8), np.uint16)))
-        if ms == 4000:
-            sink.put(TouchBegan(touch=1, time=timestamp(0.0), sensor_ms=3200))
-    sink.put(
-        TouchEnded(touch=1, gesture="rub", frames=146, reason="released", time=timestamp(3.0), sensor_ms=5900)
-    )
-    sink.stop(WITHIN_S)
+    touch = ended_touch(1)
+    with sinking(store) as sink:
+        for ms in range(0, 7000, 2):
+            sink.put_frame(Frame(ms, 0.0, np.zeros((8, 8), np.uint16)))
+            if ms == 4000:
+                sink.put(msgspec.structs.replace(touch.began, sensor_ms=3200))
+        sink.put(msgspec.structs.replace(touch.ended, sensor_ms=5900))
     (kept,) = kept_touches(tmp_path / "touches")
     frames = read_frames(kept)
     assert frames.before.sensor_ms[[0, -1]].tolist() == [2200, 3198]
@@ -266,44 +269,15 @@ def test_a_full_disk_leaves_only_whole_files(tmp_path: Path) -> None:
     assert recovery.startswith("INFO the frames of touches are saved again; those of 20 were lost")
 
 
-KILL_MID_WRITE = """
-import sys
-from pathlib import Path
-from rigs.ended_touch import ended_touch
-from touchd.daemon.sinks.touch_store import TouchStore
-store = TouchStore(Path(sys.argv[1]), 10_000, "")
-number = int(sys.argv[2])
-print("writing", flush=True)
-while True:
-    number += 1
-    store.add(ended_touch(number))
-"""
-
-
-def test_a_kill_while_writing_leaves_only_whole_files(tmp_path: Path) -> None:
-    chance = random.Random(1)
-    for attempt in range(3):
-        with Program(
-            sys.executable, "-c", KILL_MID_WRITE, tmp_path, str(1000 * attempt), cwd=TESTS
-        ) as process:
-            process.stdout.readline()
-            time.sleep(chance.uniform(0.0, 0.05))
-            process.kill()
-    for kept in kept_touches(tmp_path):
-        assert len(read_frames(kept).touch.counts) == 20
-    TouchStore(tmp_path, 10_000, "").add(ended_touch(1))
-    assert {path.name for path in tmp_path.iterdir()} == {kept.path.name for kept in kept_touches(tmp_path)}
-
-
-def test_foreign_files_are_neither_offered_nor_deleted(tmp_path: Path) -> None:
-    (tmp_path / "notes.txt").touch()
-    (tmp_path / "anna_foam_fur_rub_1.csv.gz").touch()
+def test_only_what_a_kill_left_unfinished_is_deleted_at_the_start(tmp_path: Path) -> None:
+    foreign = {"notes.txt", "anna_foam_fur_rub_1.csv.gz"}
+    for name in (*foreign, f"{PARTIAL}2026-11-20T10-00-00.000Z-1-1.csv.gz"):
+        (tmp_path / name).touch()
     store = TouchStore(tmp_path, 1, "")
     store.add(ended_touch(1))
     store.add(ended_touch(2))
     assert {path.name for path in tmp_path.iterdir()} == {
-        "notes.txt",
-        "anna_foam_fur_rub_1.csv.gz",
+        *foreign,
         file_name(ended_touch(2).began.time, 2, 2),
     }
 
@@ -353,15 +327,13 @@ def test_only_a_released_touch_is_followed_by_quiet() -> None:
 def test_frames_beyond_a_gap_are_not_kept(
     store: TouchStore, tmp_path: Path, gap_ms: int, is_whole: bool
 ) -> None:
-    sink, touch = TouchSink({"pad": store}), ended_touch(1)
-    sink.start()
-    first_ms, last_ms = 200 + gap_ms, 300 + 2 * gap_ms
-    for ms in (100, 200, first_ms, first_ms + 100, last_ms, last_ms + 100):
-        sink.put_frame(Frame(ms, 0.0, touch.frames[0].pressure))
-        if ms == first_ms:
-            sink.put(msgspec.structs.replace(touch.began, sensor_ms=first_ms))
-    sink.put(msgspec.structs.replace(touch.ended, sensor_ms=last_ms))
-    sink.stop(WITHIN_S)
+    touch, first_ms, last_ms = ended_touch(1), 200 + gap_ms, 300 + 2 * gap_ms
+    with sinking(store) as sink:
+        for ms in (100, 200, first_ms, first_ms + 100, last_ms, last_ms + 100):
+            sink.put_frame(Frame(ms, 0.0, touch.frames[0].pressure))
+            if ms == first_ms:
+                sink.put(msgspec.structs.replace(touch.began, sensor_ms=first_ms))
+        sink.put(msgspec.structs.replace(touch.ended, sensor_ms=last_ms))
     (kept,) = kept_touches(tmp_path / "touches")
     frames = read_frames(kept)
     assert frames.touch.sensor_ms.tolist() == [first_ms, first_ms + 100, last_ms][: 3 if is_whole else 2]
@@ -400,19 +372,21 @@ def test_a_folder_that_is_missing_holds_no_touches(tmp_path: Path) -> None:
 
 
 def test_other_pads_and_forgotten_frames_are_not_kept(store: TouchStore, tmp_path: Path) -> None:
-    sink, touch = TouchSink({"pad": store}), ended_touch(1)
-    sink.start()
-    for pad in ("pad", "other"):
-        for frame in touch.frames:
-            sink.put_frame(frame, pad)
-    sink.put(msgspec.structs.replace(touch.began, pad="other"))
-    sink.put(msgspec.structs.replace(touch.ended, pad="other"))
-    sink.put(said(1, "pat", "other"))
-    sink.put(touch.began)
-    sink.put(SensorEvent(state="down", time="", pad="other"))
-    sink.put(touch.ended)
-    sink.put(msgspec.structs.replace(touch.began, touch=2))
-    sink.put(SensorEvent(state="down", time=""))
-    sink.put(msgspec.structs.replace(touch.ended, touch=2))
-    sink.stop(WITHIN_S)
+    touch, change = ended_touch(1), msgspec.structs.replace
+    with sinking(store) as sink:
+        for pad in ("pad", "other"):
+            for frame in touch.frames:
+                sink.put_frame(frame, pad)
+        for event in (
+            change(touch.began, pad="other"),
+            change(touch.ended, pad="other"),
+            said(1, "pat", "other"),
+            touch.began,
+            SensorEvent(state="down", time="", pad="other"),
+            touch.ended,
+            change(touch.began, touch=2),
+            SensorEvent(state="down", time=""),
+            change(touch.ended, touch=2),
+        ):
+            sink.put(event)
     assert [kept.number for kept in kept_touches(tmp_path / "touches")] == [1]
