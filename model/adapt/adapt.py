@@ -1,6 +1,6 @@
 """Adapts the shipped network to a lab's recordings, with held-out accuracy before and after."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from touchd.drivers.frame import NO_TOUCH, OTHER
 from touchd.drivers.recording import Recording
-from touchd.model.adapt.backbone import BAR, WindowFeatures, crops, split, windows
+from touchd.model.adapt.backbone import BAR, CropFeatures, WindowFeatures, crops, split, windows
 from touchd.model.adapt.head import AdaptSettings, fit, rebuilt
 from touchd.model.adapt.measure import Comparison, Fold, Scored, compare, plan
 from touchd.model.adapt.remembered import Remembered
@@ -83,8 +83,7 @@ def adapt(
     labels = tuple(sorted(recorded | {NO_TOUCH} | kept))
     begin = rebuilt(pretrained.head, known, labels)
     new = sorted(set(labels) - set(known))
-    forgotten = [OTHER] * MORE_OTHER if OTHER not in recorded else []
-    rehearsed = pretrained.remembered.samples([*labels, *forgotten], settings.seed)
+    rehearsed = rehearsal(pretrained.remembered, labels, recorded, settings.seed)
     shown = crops(pretrained.backbone, recordings, pretrained.augmentation, settings.crops, settings.seed)
     left_out, folds = plan(recordings)
     trained = [*(fold.trained for fold in folds), tuple(range(len(recordings)))]
@@ -96,6 +95,14 @@ def adapt(
         for frames, own in windows(pretrained.backbone, recordings).items()
     }
     return Adapted(known, labels, tuple(recordings), head, compare(scored, known, left_out))
+
+
+def rehearsal(
+    remembered: Remembered, labels: Sequence[str], recorded: Collection[str], seed: int
+) -> CropFeatures:
+    """Draw what stands for other people; `other` more often if it is not among what was recorded."""
+    more = [] if OTHER in recorded else [OTHER] * MORE_OTHER
+    return remembered.samples([*labels, *more], seed)
 
 
 def _scored(

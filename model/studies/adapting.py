@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from touchd.drivers.recording import Recording
-from touchd.model.adapt.adapt import Pretrained, logits
+from touchd.model.adapt.adapt import Pretrained, logits, rehearsal
 from touchd.model.adapt.backbone import CropFeatures, WindowFeatures, crops, windows
 from touchd.model.adapt.head import AdaptSettings, fit
 from touchd.model.adapt.measure import Floats, mean_interval
@@ -70,7 +70,9 @@ class PersonFold:
         self.pretrained = pretrained
         self.unseen = unseen
         self.windows: WindowFeatures = windows(pretrained.backbone, unseen)[FRAMES]
-        self.truth = np.array([haart.label(unseen[i]) for i in self.windows.recordings], dtype=np.int64)
+        labels = pretrained.labels
+        truth = [labels.index(unseen[i].gesture) for i in self.windows.recordings]
+        self.truth = np.array(truth, dtype=np.int64)
         self.people = sorted({recording.participant for recording in unseen})
 
     def of(self, name: str) -> list[int]:
@@ -84,7 +86,7 @@ class PersonFold:
         for gesture in MISSING.get(study_of(self.unseen[recordings[0]].participant), ()):
             answers[:, self.pretrained.labels.index(gesture)] = IMPOSSIBLE
         predicted = answers.argmax(axis=1).astype(np.int64)
-        return metrics.macro_accuracy(predicted, self.truth[chosen], len(haart.GESTURES))
+        return metrics.macro_accuracy(predicted, self.truth[chosen], len(self.pretrained.labels))
 
     def trials(self, name: str, rehearsed: CropFeatures, settings: AdaptSettings) -> Iterator[Trial]:
         """Yield every trial of one person."""
@@ -154,7 +156,7 @@ def measure(folders: Folders, runs: Path, settings: AdaptSettings) -> Iterator[T
         remembered = remember(saved, folders)
         pretrained = Pretrained.of(fold_path(SHIPPED_MODEL.parent, left_out), saved.network, remembered)
         fold = PersonFold(pretrained, haart.only(takes, left_out))
-        rehearsed = remembered.samples(pretrained.labels, settings.seed)
+        rehearsed = rehearsal(remembered, pretrained.labels, haart.GESTURES, settings.seed)
         for name in fold.people:
             if name in FEW:
                 continue

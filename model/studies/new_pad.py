@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from touchd.drivers.recording import Recording
-from touchd.model.adapt.adapt import Pretrained, logits
+from touchd.model.adapt.adapt import Pretrained, logits, rehearsal
 from touchd.model.adapt.backbone import CropFeatures, crops, windows
 from touchd.model.adapt.head import AdaptSettings, fit, rebuilt
 from touchd.model.adapt.optimise import one_torch_thread
@@ -107,7 +107,7 @@ def people_on_a_new_pad(
     labels = pretrained.labels
     scored = Scored(pretrained, recordings, labels)
     shown = crops(pretrained.backbone, recordings, pretrained.augmentation, settings.crops, settings.seed)
-    rehearsed = remembered.samples(labels, settings.seed)
+    rehearsed = rehearsal(remembered, labels, haart.GESTURES, settings.seed)
     everybody = sorted(set(scored.people.tolist()))
 
     def accuracies(head: nn.Sequential, people: Sequence[str]) -> tuple[float, ...]:
@@ -143,7 +143,7 @@ def two_gestures_more(folders: Folders, runs: Path, settings: AdaptSettings) -> 
             settings.crops,
             settings.seed,
         )
-        rehearsed = remembered.samples(labels, settings.seed)
+        rehearsed = rehearsal(remembered, labels, haart.GESTURES, settings.seed)
         head = fit(start, labels, NEW, shown, rehearsed, settings)
         on_third = Scored(pretrained, haart.only(third, left_out), labels)
         on_fabric = Scored(pretrained, haart.only(fabric, left_out), labels)

@@ -20,7 +20,7 @@ from torch import nn
 from tqdm import tqdm
 
 from touchd.drivers.recording import Recording, ideal_clock_ms, set_up
-from touchd.model.adapt.adapt import Pretrained, logits
+from touchd.model.adapt.adapt import Pretrained, logits, rehearsal
 from touchd.model.adapt.backbone import CropFeatures, WindowFeatures, crops, windows
 from touchd.model.adapt.head import AdaptSettings, fit
 from touchd.model.adapt.measure import mean_interval
@@ -199,7 +199,7 @@ def trials(folders: Folders, runs: Path, settings: AdaptSettings) -> Iterator[Ta
         base = fold_path(Path(__file__).parents[1] / "weights", left_out)
         remembered = remember(saved, folders)
         pretrained = Pretrained.of(base, saved.network, remembered)
-        rehearsed = remembered.samples(pretrained.labels, settings.seed)
+        rehearsed = rehearsal(remembered, pretrained.labels, haart.GESTURES, settings.seed)
         unseen = haart.only(takes, left_out)
         for name in tqdm(sorted({each.participant for each in unseen}), desc=job.name):
             own = [each for each in unseen if each.participant == name]
