@@ -218,22 +218,14 @@ def test_the_robot_is_asked_for_until_it_is_an_address() -> None:
     assert found.url == robot.url
 
 
-def test_a_grid_that_does_not_fit_is_asked_for_again() -> None:
-    with (
-        FakePort(STREAM, ENCODE, loop=True) as port,
-        Terminal("init", "--port", port.path, "--baud", "115200") as terminal,
-    ):
-        terminal.until("Rows and columns? [10x10] (as fabric-grid)")
-        terminal.answer("8x8", "209 bytes a frame do not fit 8x8 cells", "Rows and columns? [10x10]")
-        terminal.answer("8x8", "Leave the pad alone")
-
-
-def test_a_pad_unplugged_while_the_grid_is_asked_for_is_one_line() -> None:
+def test_a_grid_that_does_not_fit_is_asked_for_again_and_then_taken() -> None:
     with FakePort(STREAM, ENCODE, loop=True) as port:
         terminal = Terminal("init", "--port", port.path, "--baud", "115200")
-        terminal.until("Rows and columns?")
+        terminal.until("Rows and columns? [10x10] (as fabric-grid)")
+        terminal.answer("8x8", "209 bytes a frame do not fit 8x8 cells", "Rows and columns? [10x10]")
     with terminal:
-        terminal.answer("", f"{port.path} went away: unplugged or switched off?", "The robot's name")
+        # Unplugged meanwhile.
+        terminal.answer("8x8", f"{port.path} went away: unplugged or switched off?", "The robot's name")
 
 
 def wandering_then_held(row: int, column: int, held_s: float, wandering_s: float = SECONDS) -> Stream:
