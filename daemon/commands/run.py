@@ -126,7 +126,10 @@ def main(arguments: Sequence[str]) -> int:
         closing.callback(root.removeHandler, handler)
         log.info("%s; journal: %s", found, settings.journal.file if settings.journal else "none")
         favour_latency()
-        service.run(_reporting(service, signals.must_stop, closing))
+        # To systemd, if that started this process.
+        notifier = Notifier(os.environ)
+        closing.callback(notifier.close)
+        service.run(Health(notifier, service.pads, service.events).reporting(signals.must_stop))
     return 0
 
 
@@ -151,15 +154,6 @@ def _log_to_stderr(closing: ExitStack) -> logging.Handler:
     writer.start()
     closing.callback(writer.stop, LOG_STOP_S)
     return writer
-
-
-def _reporting(service: Service, must_stop: Callable[[], bool], closing: ExitStack) -> Callable[[], bool]:
-    """Return `must_stop`, which reports to systemd each time it is asked, if that started this process."""
-    if "NOTIFY_SOCKET" not in os.environ:
-        return must_stop
-    notifier = Notifier(os.environ)
-    closing.callback(notifier.close)
-    return Health(notifier, service.pads, service.events).reporting(must_stop)
 
 
 def _find(options: argparse.Namespace) -> Found:
