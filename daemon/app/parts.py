@@ -66,12 +66,7 @@ class Parts:
 
 
 @config_errors()
-def make_parts(
-    settings: Settings,
-    emit: Callable[[Event], None],
-    viewers: Viewers,
-    arrived: Signal,
-) -> Parts:
+def make_parts(settings: Settings, emit: Callable[[Event], None], viewers: Viewers, arrived: Signal) -> Parts:
     """Return the parts of a daemon; raises TouchdError when the settings cannot be used.
 
     emit: receives every event. viewers: see `Pipeline`. arrived: is set whenever a pad's queue has something.

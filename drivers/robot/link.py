@@ -121,6 +121,8 @@ class RobotLink(Worker):
 
     def note_state(self, state: LinkState, reason: str) -> None:
         """Log that the robot is there, or that an attempt to reach it failed; report a change."""
+        if self._stopping.is_set():
+            return
         if state == "down":
             what = f"robot {self._url} is down ({reason}); trying until it is there"
             # Durations in a reason differ from one attempt to the next.

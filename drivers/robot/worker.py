@@ -33,10 +33,7 @@ class Worker:
     """
 
     def __init__(
-        self,
-        name: str,
-        open_session: Callable[[threading.Event], RobotSession],
-        limits: RobotLimits,
+        self, name: str, open_session: Callable[[threading.Event], RobotSession], limits: RobotLimits
     ) -> None:
         self._open_session = open_session
         self._limits = limits
@@ -90,20 +87,16 @@ class Worker:
                     # The first call also resolves the service, so make it before the hang timeout applies.
                     self._heartbeat(session)
                     self._backoff.reset()
-                    self._note("up", "")
+                    self.note_state("up", "")
                     self._serve(session)
                     self.end(session)
             except (RobotLost, RobotRefused) as error:
-                self._note("down", str(error))
+                self.note_state("down", str(error))
             except Exception as error:
                 # Retry after any error: a dead worker would not come back until the daemon is restarted.
                 log.exception("internal error in the link to the robot")
-                self._note("down", f"{type(error).__name__}: {error}")
+                self.note_state("down", f"{type(error).__name__}: {error}")
             self._stopping.wait(self._backoff.pause_s())
-
-    def _note(self, state: LinkState, reason: str) -> None:
-        if not self._stopping.is_set():
-            self.note_state(state, reason)
 
     def _serve(self, session: RobotSession) -> None:
         """Work until asked to stop, then do what is left; raises RobotLost when the robot is gone."""
