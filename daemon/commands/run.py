@@ -121,9 +121,8 @@ def main(arguments: Sequence[str]) -> int:
             if in_words and page and live and live.host in EVERY_ADDRESS:
                 # Phones reach it.
                 sys.stderr.write(qr_code(page))
-        root = logging.getLogger()
-        root.addHandler(handler)
-        closing.callback(root.removeHandler, handler)
+        # It stays: what threads log while the program ends must not go past it to standard error.
+        logging.getLogger().addHandler(handler)
         log.info("%s; journal: %s", found, settings.journal.file if settings.journal else "none")
         favour_latency()
         # To systemd, if that started this process.
