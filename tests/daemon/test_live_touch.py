@@ -261,7 +261,7 @@ def test_a_viewer_that_sends_something_else_is_disconnected(message: str, why: s
 
 
 def test_a_viewer_who_leaves_or_hangs_stops_pressing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(touch, "LIFTED_AFTER_S", 0.2)
+    monkeypatch.setattr(touch, "LIFTED_AFTER_S", 0.5)
     touching = Touching()
     assert touching.take("viewer", TOUCH) == ""
     assert [viewer for viewer, _ in touching.pointers()] == ["viewer"]
@@ -269,7 +269,7 @@ def test_a_viewer_who_leaves_or_hangs_stops_pressing(monkeypatch: pytest.MonkeyP
 
 
 def test_the_simulated_hand_waits_while_somebody_touches(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fake_hand, "ALONE_S", 0.3)
+    monkeypatch.setattr(fake_hand, "ALONE_S", 0.6)
     rng = np.random.RandomState(1)
     begun: list[str] = []
     touching = Touching()
