@@ -10,13 +10,14 @@ export class SharpCanvas {
   width;
   #height;
 
-  /** onResize: called when the size has changed, to draw it again. */
-  constructor(canvas, onResize) {
+  /** The window gets a "resize" when the canvas has another size, to draw it again. */
+  constructor(id) {
+    const canvas = document.getElementById(id);
     this.#canvas = canvas;
     [this.width, this.#height] = [canvas.clientWidth, canvas.clientHeight];
     new ResizeObserver(() => {
       [this.width, this.#height] = [canvas.clientWidth, canvas.clientHeight];
-      onResize();
+      dispatchEvent(new Event("resize"));
     }).observe(canvas);
   }
 

@@ -54,8 +54,8 @@ const MARKS = [0, 20, FIRM_COUNTS];
 const levelOf = (counts) => Math.log1p(counts / LIGHT_COUNTS) / Math.log1p(FIRM_COUNTS / LIGHT_COUNTS);
 
 /** Write the counts beside the scale of colours. */
-export function showMarks(list) {
-  list.replaceChildren(
+export function showScale() {
+  document.getElementById("counts").replaceChildren(
     ...MARKS.map((counts) => {
       const mark = make("li", "", counts === 0 ? "0 counts" : counts);
       mark.style.setProperty("--at", levelOf(counts));
@@ -64,31 +64,25 @@ export function showMarks(list) {
   );
 }
 
-/** Draws where the hand was in the last second, fading with time. */
-export class Trail {
-  #canvas;
-  #color = colourOf("--trail");
+const trailCanvas = new SharpCanvas("trail");
+const trailColor = colourOf("--trail");
 
-  constructor(canvas, onResize) {
-    this.#canvas = new SharpCanvas(canvas, onResize);
-  }
-
-  draw(trail) {
-    const context = this.#canvas.clear();
-    const side = context.canvas.width;
-    const at = (taxels) => ((taxels + 0.5) / SIDE) * side;
-    context.strokeStyle = this.#color;
-    context.lineCap = "round";
-    context.lineWidth = side / 90;
-    for (let i = 1; i < trail.length; i++) {
-      const [[, row, column], [, nextRow, nextColumn]] = [trail[i - 1], trail[i]];
-      if (row === null || nextRow === null) continue;
-      context.globalAlpha = (i / trail.length) ** 2;
-      context.beginPath();
-      context.moveTo(at(column), at(row));
-      context.lineTo(at(nextColumn), at(nextRow));
-      context.stroke();
-    }
+/** Draw where the hand was in the last second, fading with time. */
+export function drawTrail(trail) {
+  const context = trailCanvas.clear();
+  const side = context.canvas.width;
+  const at = (taxels) => ((taxels + 0.5) / SIDE) * side;
+  context.strokeStyle = trailColor;
+  context.lineCap = "round";
+  context.lineWidth = side / 90;
+  for (let i = 1; i < trail.length; i++) {
+    const [[, row, column], [, nextRow, nextColumn]] = [trail[i - 1], trail[i]];
+    if (row === null || nextRow === null) continue;
+    context.globalAlpha = (i / trail.length) ** 2;
+    context.beginPath();
+    context.moveTo(at(column), at(row));
+    context.lineTo(at(nextColumn), at(nextRow));
+    context.stroke();
   }
 }
 

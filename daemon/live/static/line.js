@@ -11,69 +11,64 @@ const LIGHT_LOAD = 300;
 const LATE_S = 0.1;
 const ROWS = 4;
 
-export class TimeLine {
-  #canvas;
-  #marks;
-  #flags;
-  #drawnMarks = "";
-  #drawnFlags = "";
-  #color = colourOf("--accent");
+const canvas = new SharpCanvas("trace");
+const [marks, flags] = [document.getElementById("marks"), document.getElementById("flags")];
+const color = colourOf("--accent");
+let drawnMarks = "";
+let drawnFlags = "";
 
-  constructor(canvas, marks, flags, onResize) {
-    this.#canvas = new SharpCanvas(canvas, onResize);
-    this.#marks = marks;
-    this.#flags = flags;
-  }
+/** Draw the touch's pressure so far, the marks with those that were passed, and the answers. */
+export function drawLine(store) {
+  drawPressure(store);
+  showMarks(store);
+  showFlags(store);
+}
 
-  /** Draw the touch's pressure so far. */
-  draw(store) {
-    const context = this.#canvas.clear();
-    const { width, height } = context.canvas;
-    const end = endOf(store.scene);
-    const points = store.trace.filter(([at]) => at >= 0 && at <= end);
-    if (points.length === 0) return;
-    const peak = points.reduce((most, [, load]) => Math.max(most, load), LIGHT_LOAD);
-    const x = (at) => (at / end) * width;
-    context.beginPath();
-    context.moveTo(x(points[0][0]), height);
-    for (const [at, load] of points) context.lineTo(x(at), height * (1 - 0.92 * Math.sqrt(load / peak)));
-    context.lineTo(x(points.at(-1)[0]), height);
-    context.fillStyle = this.#color;
-    context.globalAlpha = 0.28;
-    context.fill();
-    context.globalAlpha = 1;
-  }
+function drawPressure(store) {
+  const context = canvas.clear();
+  const { width, height } = context.canvas;
+  const end = endOf(store.scene);
+  const points = store.trace.filter(([at]) => at >= 0 && at <= end);
+  if (points.length === 0) return;
+  const peak = points.reduce((most, [, load]) => Math.max(most, load), LIGHT_LOAD);
+  const x = (at) => (at / end) * width;
+  context.beginPath();
+  context.moveTo(x(points[0][0]), height);
+  for (const [at, load] of points) context.lineTo(x(at), height * (1 - 0.92 * Math.sqrt(load / peak)));
+  context.lineTo(x(points.at(-1)[0]), height);
+  context.fillStyle = color;
+  context.globalAlpha = 0.28;
+  context.fill();
+  context.globalAlpha = 1;
+}
 
-  /** Show which marks were passed, and the answers. */
-  show(store) {
-    this.#showMarks(store);
-    const { touch, pad, time } = store.touch?.began ?? {};
-    const all = store.touch?.predictions ?? [];
-    const { width } = this.#canvas;
-    const key = [pad, time, touch, all.length, endOf(store.scene), width].join();
-    if (key === this.#drawnFlags) return;
-    this.#drawnFlags = key;
-    const flags = all.map((prediction, place) => flag(prediction, replacedBy(all, place), store.scene));
-    // Those that fall on the line, and the last of those that came later.
-    const isShown = (one, place) => saidAt(one) < endOf(store.scene) || place === all.length - 1;
-    this.#flags.replaceChildren(...flags.filter((_, place) => isShown(all[place], place)));
-    arrange([...this.#flags.children], width);
-  }
+function showFlags(store) {
+  const { touch, pad, time } = store.touch?.began ?? {};
+  const all = store.touch?.predictions ?? [];
+  const { width } = canvas;
+  const key = [pad, time, touch, all.length, endOf(store.scene), width].join();
+  if (key === drawnFlags) return;
+  drawnFlags = key;
+  // Those that fall on the line, and the last of those that came later.
+  const isShown = (one, place) => saidAt(one) < endOf(store.scene) || place === all.length - 1;
+  const made = all.map((prediction, place) => flag(prediction, replacedBy(all, place), store.scene));
+  flags.replaceChildren(...made.filter((_, place) => isShown(all[place], place)));
+  arrange([...flags.children], width);
+}
 
-  #showMarks({ scene, elapsed }) {
-    const end = endOf(scene);
-    const times = scene.answer_at_frames.map((frames) => frames / scene.frame_rate_hz);
-    const key = times.map((at) => `${at} ${elapsed >= at}`).join() + end;
-    if (key === this.#drawnMarks) return;
-    this.#drawnMarks = key;
-    this.#marks.replaceChildren(
-      ...times.map((at) => {
-        const mark = make("li", elapsed >= at ? "reached" : "", make("span", "", seconds(at)));
-        mark.style.setProperty("--at", at / end);
-        return mark;
-      }),
-    );
-  }
+function showMarks({ scene, elapsed }) {
+  const end = endOf(scene);
+  const times = scene.answer_at_frames.map((frames) => frames / scene.frame_rate_hz);
+  const key = times.map((at) => `${at} ${elapsed >= at}`).join() + end;
+  if (key === drawnMarks) return;
+  drawnMarks = key;
+  marks.replaceChildren(
+    ...times.map((at) => {
+      const mark = make("li", elapsed >= at ? "reached" : "", make("span", "", seconds(at)));
+      mark.style.setProperty("--at", at / end);
+      return mark;
+    }),
+  );
 }
 
 function endOf(scene) {

@@ -2,9 +2,9 @@
 
 import "./older.js";
 import { announce } from "./announce.js";
-import { describePressure, HeatMap, showMarks, Trail } from "./heat.js";
+import { describePressure, drawTrail, HeatMap, showScale } from "./heat.js";
 import { followChoice, showLabels, useLabels } from "./label.js";
-import { TimeLine } from "./line.js";
+import { drawLine } from "./line.js";
 import { connect } from "./link.js";
 import * as show from "./show.js";
 import { drawPads, showPads } from "./pads.js";
@@ -23,8 +23,6 @@ $("unable").remove();
 let store = new Store();
 let stores = new Map();
 const heat = new HeatMap($("heat"), $("scale"));
-const trail = new Trail($("trail"), drawSoon);
-const line = new TimeLine($("trace"), $("marks"), $("flags"), drawSoon);
 
 let link = "";
 let stamp = null;
@@ -38,10 +36,9 @@ followVisitors(drawSoon);
 function draw() {
   isDue = false;
   heat.draw(store.pressure);
-  trail.draw(store.trail);
+  drawTrail(store.trail);
   drawPads(stores);
-  line.draw(store);
-  line.show(store);
+  drawLine(store);
   show.showClock(store);
   if (hasEvent || hasLive) show.showChances(store);
   if (hasEvent) {
@@ -128,9 +125,10 @@ followChoice(() => {
   hasEvent = true;
   drawSoon();
 });
-showMarks($("counts"));
+showScale();
 setInterval(watch, WATCH_MS);
 setInterval(() => {
   $("pad-words").textContent = describePressure(store.pressure);
 }, WORDS_MS);
+addEventListener("resize", drawSoon);
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => location.reload());
