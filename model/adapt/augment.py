@@ -15,8 +15,6 @@ from torch.nn import functional
 from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS
 from touchd.model.settings import AugmentationSettings
 
-COARSE_SIDES = range(4, ROWS)
-
 
 @dataclass(frozen=True, eq=False)
 class Frames:
@@ -46,8 +44,8 @@ def crop(
     # A published scan begins two rows early, so that it is cut short by as much.
     published = _chosen(B, settings.published_framing, rng).long()
     count = (frames.lengths[chosen][:, None] - published).float()
-    pace = 1.0 + settings.pace * (2.0 * _uniform(rng, B, 1) - 1.0)
-    place = _uniform(rng, B, 1)
+    pace = 1.0 + settings.pace * (2.0 * uniform_of(rng, B, 1) - 1.0)
+    place = uniform_of(rng, B, 1)
     ticks = torch.arange(length, device=device)
     whole = torch.minimum((place * (count - length + 1)).floor(), count - length) + ticks
     paced = place * (count - 1 - (length - 1) * pace).clamp_min(0.0) + pace * ticks
@@ -66,73 +64,12 @@ def begin_from_rest(
 ) -> Tensor:
     """Return windows (B, T, 8, 8), some of which rise from rest (B, T, 8, 8), as when a hand comes down."""
     B, T = windows.shape[:2]
-    wait, rise = _uniform(rng, 2, B, 1)
+    wait, rise = uniform_of(rng, 2, B, 1)
     rise_frames = 1.0 + rise * (settings.onset_frames - 1.0)
     ticks = torch.arange(T, device=windows.device)
     contact = ((ticks - wait * settings.onset_wait_frames) / rise_frames).clamp(0.0, 1.0)
     contact = torch.where(_chosen(B, settings.onset, rng), contact, 1.0)
     return torch.lerp(rest, windows, contact[:, :, None, None])
-
-
-def as_another_pad(counts: Tensor, settings: AugmentationSettings, rng: torch.Generator) -> Tensor:
-    """Return (B, T, 8, 8) counts, some windows as a softer, coarser pad would have read them."""
-    if not settings.another_pad:
-        return counts
-    B, T = counts.shape[:2]
-    followed = _creep(counts, settings, rng)
-    fewer = _coarse(counts.device)[torch.randint(len(COARSE_SIDES), (B,), generator=rng, device=rng.device)]
-    blurred = (followed.reshape(B, T, -1) @ fewer).reshape(counts.shape)
-    read = torch.where(_chosen4(B, settings.coarse, rng), blurred, followed)
-    return torch.where(_chosen4(B, settings.another_pad, rng), read, counts)
-
-
-def _coarse(device: torch.device) -> Tensor:
-    """Return (sides, 64, 64): how a pad with fewer taxels, interpolated to 8x8, reads each taxel."""
-    taxels = torch.eye(ROWS * COLUMNS, device=device).reshape(-1, 1, ROWS, COLUMNS)
-    pads = [
-        functional.interpolate(functional.adaptive_avg_pool2d(taxels, side), (ROWS, COLUMNS), mode="bilinear")
-        for side in COARSE_SIDES
-    ]
-    return torch.stack(pads).reshape(len(COARSE_SIDES), ROWS * COLUMNS, ROWS * COLUMNS)
-
-
-def _creep(x: Tensor, settings: AugmentationSettings, rng: torch.Generator) -> Tensor:
-    """Return (B, T, 8, 8) followed by one pole, whose time constant differs for rise and fall."""
-    rise_s, fall_s = _uniform(rng, 2, len(x), 1, 1) ** 2
-    rise = 1.0 - torch.exp(-1.0 / (FRAME_RATE_HZ * settings.rise_s * rise_s + 1e-3))
-    fall = 1.0 - torch.exp(-1.0 / (FRAME_RATE_HZ * settings.fall_s * fall_s + 1e-3))
-    followed = [x[:, 0]]
-    for frame in x.unbind(1)[1:]:
-        change = frame - followed[-1]
-        followed.append(followed[-1] + torch.where(change > 0, rise, fall) * change)
-    return torch.stack(followed, dim=1)
-
-
-def as_quiet_pad(counts: Tensor, settings: AugmentationSettings, rng: torch.Generator) -> Tensor:
-    """Return (B, T, 8, 8) counts, some windows as a pad without noise would have read them."""
-    if not settings.quiet:
-        return counts
-    B = len(counts)
-    spans = torch.randint(1, settings.quiet_frames + 1, (B,), generator=rng, device=rng.device)
-    x = _mean_of_last(counts, spans, settings.quiet_frames)
-    x = x - settings.quiet_counts * _uniform(rng, B, 1, 1, 1)
-    x = torch.where(_chosen4(B, 0.5, rng), x.round(), x).clamp_min(0.0)
-    return torch.where(_chosen4(B, settings.quiet, rng), x, counts)
-
-
-def _mean_of_last(x: Tensor, spans: Tensor, longest: int) -> Tensor:
-    """Return the means of each of (B, T, 8, 8) and the frames before it, of `spans` (B,) frames.
-
-    The first frame stands for those before it.
-    """
-    B, T = x.shape[:2]
-    earlier = x[:, :1].expand(-1, longest - 1, -1, -1)
-    sums = torch.cat([torch.zeros_like(x[:, :1]), earlier, x], dim=1).cumsum(1)
-    windows = torch.arange(B, device=x.device)[:, None]
-    ends = torch.arange(longest, longest + T, device=x.device)
-    before = ends - spans[:, None]
-    means: Tensor = (sums[:, longest:] - sums[windows, before]) / spans[:, None, None, None]
-    return means
 
 
 def vary(counts: Tensor, settings: AugmentationSettings, rng: torch.Generator) -> Tensor:
@@ -143,10 +80,10 @@ def vary(counts: Tensor, settings: AugmentationSettings, rng: torch.Generator) -
         return torch.randn(*shape, generator=rng, device=rng.device)
 
     def uniform() -> Tensor:
-        return _uniform(rng, B, 1, 1, 1)
+        return uniform_of(rng, B, 1, 1, 1)
 
     def chosen(probability: float) -> Tensor:
-        return _chosen4(B, probability, rng).float()
+        return chosen_of(B, probability, rng).float()
 
     x = counts / MAX_COUNT
     x = x.clamp_min(1e-6) ** torch.exp(settings.gamma * normal(B, 1, 1, 1))
@@ -165,7 +102,7 @@ def vary(counts: Tensor, settings: AugmentationSettings, rng: torch.Generator) -
     x = x + chosen(settings.offset) * settings.offset_counts * uniform()
     x = x + settings.noise_counts * uniform() * normal(*x.shape)
     lines = (normal(B, T, ROWS, 1), normal(B, T, 1, COLUMNS))
-    line = torch.where(_chosen4(B, 0.5, rng), *lines)
+    line = torch.where(chosen_of(B, 0.5, rng), *lines)
     x = x + chosen(settings.line_noise) * settings.line_noise_counts * uniform() * line
     return x.clamp(0.0, MAX_COUNT)
 
@@ -205,8 +142,8 @@ def _warp(x: Tensor, spread: float, rng: torch.Generator) -> Tensor:
 def _rest(B: int, counts: float, rng: torch.Generator) -> Tensor:
     """Return offsets (B, 1, 8, 8) of up to `counts`: a smooth field, and some single taxels."""
     single = torch.randn(B, 1, ROWS, COLUMNS, generator=rng, device=rng.device)
-    single = single * (_uniform(rng, B, 1, ROWS, COLUMNS) < 0.2)
-    depth = _uniform(rng, B, 1, 1, 1) * counts
+    single = single * (uniform_of(rng, B, 1, ROWS, COLUMNS) < 0.2)
+    depth = uniform_of(rng, B, 1, 1, 1) * counts
     offsets: Tensor = (depth * (_smooth(B, rng) + single)).clamp(-counts, counts)
     return offsets
 
@@ -214,7 +151,7 @@ def _rest(B: int, counts: float, rng: torch.Generator) -> Tensor:
 def _sway(B: int, T: int, counts: float, rng: torch.Generator) -> Tensor:
     """Return (B, T, 8, 8) of slow movement: breathing and a drift of up to 1 count a second."""
     seconds = _seconds(T, rng)
-    rate, phase, depth, drift = _uniform(rng, 4, B, 1, 1, 1)
+    rate, phase, depth, drift = uniform_of(rng, 4, B, 1, 1, 1)
     breath = depth * counts * torch.sin(2.0 * math.pi * ((0.2 + 0.8 * rate) * seconds + phase))
     sway: Tensor = breath * _smooth(B, rng) + (2.0 * drift - 1.0) * seconds * _smooth(B, rng)
     return sway
@@ -222,7 +159,7 @@ def _sway(B: int, T: int, counts: float, rng: torch.Generator) -> Tensor:
 
 def _hum(B: int, T: int, counts: float, rng: torch.Generator) -> Tensor:
     """Return (B, T, 1, 1) of a tone that all taxels share."""
-    rate, phase, depth = _uniform(rng, 3, B, 1, 1, 1)
+    rate, phase, depth = uniform_of(rng, 3, B, 1, 1, 1)
     tone: Tensor = (
         depth * counts * torch.sin(2.0 * math.pi * ((4.0 + 23.0 * rate) * _seconds(T, rng) + phase))
     )
@@ -239,15 +176,15 @@ def _smooth(B: int, rng: torch.Generator) -> Tensor:
     return functional.interpolate(coarse, (ROWS, COLUMNS), mode="bicubic", align_corners=True)
 
 
-def _uniform(rng: torch.Generator, *shape: int) -> Tensor:
+def uniform_of(rng: torch.Generator, *shape: int) -> Tensor:
     return torch.rand(*shape, generator=rng, device=rng.device)
 
 
 def _chosen(B: int, probability: float, rng: torch.Generator) -> Tensor:
     """Return (B, 1) bool, true with a probability."""
-    return _uniform(rng, B, 1) < probability
+    return uniform_of(rng, B, 1) < probability
 
 
-def _chosen4(B: int, probability: float, rng: torch.Generator) -> Tensor:
+def chosen_of(B: int, probability: float, rng: torch.Generator) -> Tensor:
     """Return (B, 1, 1, 1) bool, true with a probability."""
     return _chosen(B, probability, rng)[:, :, None, None]

@@ -18,8 +18,9 @@ from torch.nn import functional
 
 from touchd.drivers.frame import MAX_COUNT, NO_TOUCH, OTHER
 from touchd.drivers.recording import Recording
-from touchd.model.adapt.augment import Frames, as_another_pad, as_quiet_pad, begin_from_rest, crop, vary
+from touchd.model.adapt.augment import Frames, begin_from_rest, crop, vary
 from touchd.model.training import caress, unknown
+from touchd.model.training.other_pads import as_another_pad, as_quiet_pad
 from touchd.model.training.passing import FORGOTTEN_FRAMES, Passing
 from touchd.model.training.settings import Refinement, TrainSettings
 from touchd.model.training.studies import MISSING, study_of

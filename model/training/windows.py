@@ -11,7 +11,8 @@ from torch.nn import functional
 
 from touchd.drivers.frame import NO_TOUCH
 from touchd.drivers.recording import Recording
-from touchd.model.adapt.augment import Frames, as_another_pad, as_quiet_pad, begin_from_rest, crop, vary
+from touchd.model.adapt.augment import Frames, begin_from_rest, crop, vary
+from touchd.model.training.other_pads import as_another_pad, as_quiet_pad
 from touchd.model.training.passing import Passing
 from touchd.model.training.settings import TrainSettings
 from touchd.model.training.studies import MISSING, study_of

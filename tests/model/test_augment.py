@@ -8,10 +8,11 @@ pytest.importorskip("torch", reason="needs the extra `train`")
 
 import torch
 
-from touchd.model.adapt.augment import Frames, as_another_pad, as_quiet_pad, crop, vary
+from touchd.model.adapt.augment import Frames, crop, vary
 from touchd.model.settings import AugmentationSettings
 from touchd.model.studies.checks.disturb import DISTURBANCES
 from touchd.model.studies.checks.hard_cases import checkerboard, hand
+from touchd.model.training.other_pads import as_another_pad, as_quiet_pad
 
 OFF = AugmentationSettings(
     gain=0.0, gamma=0.0, taxel_gain=0.0, turn=0.0, shift=0.0, offset=0.0, noise_counts=0.0, dead_row=0.0
