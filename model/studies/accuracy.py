@@ -37,15 +37,6 @@ DETAILED = ("test", "left_out", "second_study", "third_study", "new_pad")
 FINAL = LENGTHS[-1]
 COLOURS = ("#1f5fa8", "#5b9bd5", "#2a8a57", "#8fc4a5", "#7a3f98", "#b89cc9")
 DARK_PERCENT = 55
-SHOWN_DISTURBED = (
-    "counts x 0.5",
-    "quarter turn",
-    "shift by one taxel",
-    "breathing pad",
-    "one dead row",
-    "5 % of frames lost",
-)
-"""Disturbances that a lab can meet or avoid; the others are in the stored scores."""
 LABEL_GAP = 1.7
 """Least distance between the labels of two lines, in percent."""
 
@@ -91,10 +82,6 @@ def tables(scores: Scores) -> dict[str, str]:
                 (title, *_spread(each.per_participant), *_extremes(each.per_condition))
                 for title, each in everybody.items()
             ],
-        ),
-        "disturbed": table(
-            ("disturbance", *sets),
-            [(name, *(_change(each.disturbed, name) for each in sets.values())) for name in SHOWN_DISTURBED],
         ),
     }
 
@@ -171,10 +158,6 @@ def _extremes(shares: Mapping[str, float]) -> tuple[str, ...]:
 
 def _share(shares: Mapping[str, float], label: str) -> str:
     return _percent(shares[label]) if label in shares else ""
-
-
-def _change(disturbed: Mapping[str, float], name: str) -> str:
-    return f"{100 * (disturbed[name] - disturbed['none']):+.1f}"
 
 
 def _percent(share: float) -> str:

@@ -10,7 +10,6 @@ import csv
 import gzip
 import logging
 import math
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -31,15 +30,19 @@ from touchd.drivers.recording import Recording, on_grid
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 from touchd.model.studies.checks.evaluate import Split, answer
 from touchd.model.studies.folders import study_parser
+from touchd.model.studies.marked import fill, table
 from touchd.model.studies.play import frames_of, play
+from touchd.model.studies.results import STORED
 from touchd.model.studies.sessions import streams
 from touchd.model.training import haart, third_study
 from touchd.model.training.haart import find
 from touchd.model.training.studies import Folders
 from touchd.model.training.weights import left_out_split
 
+FILE = STORED / "others.json"
 LENGTHS = (54, 144)
 SURE, VERY_SURE = 0.6, 0.65
+SHOWN_LIMITS = (0.1, 0.2, 0.3, 0.5)
 MADE = 72
 SPEEDS_S = (1.0, 1.5, 2.0, 3.0, 5.0)
 CARESSES = 24
@@ -93,7 +96,7 @@ class Curve(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Measured(msgspec.Struct, frozen=True, kw_only=True):
-    """The figures, as they are printed."""
+    """The figures, as they are stored."""
 
     model: str
     windows: list[Windows]
@@ -354,13 +357,38 @@ def _percent(mask: NDArray[np.bool_]) -> float:
     return round(100.0 * float(mask.mean()), 1) if len(mask) else 0.0
 
 
+def tables(measured: Measured) -> dict[str, str]:
+    """Return the page's tables."""
+    rows = [("pinch, poke, twist, knead, massage, fist, karate, type", measured.streams)]
+    rows += [(f"made: {name}", made) for name, made in measured.made.items()]
+    rows += [("hug, grab, squeeze, punch on a firm pad", measured.firm_pad)] if measured.firm_pad else []
+    heads = ("touch", "number", "told a gesture, %", "with 0.65 or more", "told other")
+    speeds = measured.caresses
+    shown = [point for point in measured.curve if point.limit in SHOWN_LIMITS]
+    return {
+        "others": table(heads, [(name, t.n, t.known, t.known_very_sure, t.other) for name, t in rows]),
+        "trade": table(
+            ("`other` counts from", *(f"{point.limit:g}" for point in shown)),
+            [
+                ("of the eight others, named, %", *(f"{point.named}" for point in shown)),
+                ("of the six, lost, %", *(f"{point.lost}" for point in shown)),
+            ],
+        ),
+        "caresses": table(
+            ("a caress of", *(f"{seconds} s" for seconds in speeds)),
+            [("told stroke, %", *(f"{told.right}" for told in speeds.values()))],
+        ),
+    }
+
+
 def main(arguments: Sequence[str]) -> int:
-    """Measure, and print the figures as JSON; returns 0."""
-    parser = study_parser("others", __doc__, "haart", "second-study", "third-study")
+    """Measure, store the figures and fill the page; returns 0."""
+    parser = study_parser("others", __doc__, "docs", "haart", "second-study", "third-study")
     parser.add_argument("--firm-pad", type=Path, help="folder of a firm pad's streams; without it, no figure")
     options = parser.parse_args(arguments)
     # Silence the daemon's log, which would report on every stream.
     logging.disable()
     measured = measure(Folders(options.haart, options.second_study, options.third_study), options.firm_pad)
-    sys.stdout.write(f"{msgspec.json.format(msgspec.json.encode(measured)).decode()}\n")
+    FILE.write_bytes(msgspec.json.format(msgspec.json.encode(measured)) + b"\n")
+    fill(options.docs / "accuracy.md", tables(measured))
     return 0

@@ -6,10 +6,11 @@ through them once.
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import cast
 
+import msgspec
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -41,6 +42,8 @@ SOURCES = (
     "windows.py",
 )
 BATCH = 32
+# Windows mixed in a step.
+MIXED = 32
 # Logit by which a new answer begins below the mean of the others.
 BEGINS_BELOW = 2.0
 
@@ -50,7 +53,8 @@ class Drawn:
     """Drawn windows as the upper layers see them.
 
     frames: (M, T, width) float16, what the gated convolutions return. lengths, weights: (M, K).
-    targets: (M, K, classes). possible: (M, classes).
+    targets: (M, K, classes). possible: (M, classes). taught: (M,), 0 where the first network is to be
+    corrected.
     """
 
     frames: Tensor
@@ -58,6 +62,7 @@ class Drawn:
     weights: Tensor
     targets: Tensor
     possible: Tensor
+    taught: Tensor
 
     def of(self, chosen: Tensor) -> "Drawn":
         return Drawn(
@@ -66,6 +71,7 @@ class Drawn:
             self.weights[chosen],
             self.targets[chosen],
             self.possible[chosen],
+            self.taught[chosen],
         )
 
 
@@ -87,25 +93,35 @@ def extended(first: Checkpoint, labels: Sequence[str]) -> TGC:
 def refine(recordings: Sequence[Recording], job: Job, first: Checkpoint, runs: Path) -> Checkpoint:
     """Train a job's network from the one it begins with, and save it in `runs`.
 
+    Some trainings' weights are averaged: those that begin from one network lie in one basin (Wortsman et al.,
+    "Model soups", ICML 2022).
     recordings: known gestures, then those of the label `other`.
     """
     own = job.settings
     assert own.refined is not None
-    torch.manual_seed(own.seed)
     labels = (*first.labels, OTHER) if OTHER not in first.labels else first.labels
     network = extended(first, labels)
-    drawn = draw(TouchSampler(recordings, labels, own), network, own)
+    learnt = [_run(recordings, network, labels, own, number) for number in range(own.refined.runs)]
     saved = Checkpoint(
         settings=own,
         labels=labels,
         step=own.steps,
-        network=kept(_learn(network, drawn, own, job.name), network, job.keeps, len(first.labels)),
+        network=kept(learnt, network, job.keeps, len(first.labels)),
         training={},
         code_version=code_version(*(Path(__file__).with_name(name) for name in SOURCES)),
         data_sha256=data_hash(recording for recording in recordings if learns(own, recording)),
     )
     checkpoint.save(saved, runs / job.name / CHECKPOINT_NAME)
     return saved
+
+
+def _run(
+    recordings: Sequence[Recording], network: TGC, labels: Sequence[str], settings: TrainSettings, number: int
+) -> dict[str, Tensor]:
+    own = msgspec.structs.replace(settings, seed=settings.seed + number)
+    torch.manual_seed(own.seed)
+    drawn = draw(TouchSampler(recordings, labels, own), network, own)
+    return _learn(network, drawn, own)
 
 
 @torch.no_grad()
@@ -118,9 +134,9 @@ def draw(sampler: TouchSampler, network: TGC, own: TrainSettings) -> Drawn:
         touches = sampler.draw(BATCH)
         frames = network.motion(network.stem(touches.counts))
         targets = _taught(network, frames, touches)
-        parts.append(Drawn(frames.half(), touches.lengths, touches.weights, targets, touches.possible))
-    names = ("frames", "lengths", "weights", "targets", "possible")
-    return Drawn(*(torch.cat([getattr(part, name) for part in parts]) for name in names))
+        drawn = (touches.lengths, touches.weights, targets, touches.possible, touches.taught)
+        parts.append(Drawn(frames.half(), *drawn))
+    return Drawn(*(torch.cat([getattr(part, each.name) for part in parts]) for each in fields(Drawn)))
 
 
 def _taught(network: TGC, frames: Tensor, touches: Touches) -> Tensor:
@@ -134,21 +150,24 @@ def _taught(network: TGC, frames: Tensor, touches: Touches) -> Tensor:
     return torch.lerp(touches.targets, teacher, touches.taught[:, None, None])
 
 
-def _learn(network: TGC, drawn: Drawn, own: TrainSettings, name: str) -> dict[str, Tensor]:
+def _learn(network: TGC, drawn: Drawn, own: TrainSettings) -> dict[str, Tensor]:
     """Train the encoder and the dense layers; return the network's weights, averaged over the last steps."""
-    network = copy.deepcopy(network).train()
+    assert own.refined is not None
+    first, network = network, copy.deepcopy(network).train()
+    like_first = torch.nonzero(drawn.taught > 0.0).flatten()
     for layers in (network.stem, network.motion):
         layers.requires_grad_(False)
     learning = [weight for weight in network.parameters() if weight.requires_grad]
     optimizer = torch.optim.AdamW(learning, weight_decay=own.weight_decay)
     average = [weight.detach().clone() for weight in learning]
     order = torch.randperm(len(drawn.frames))
-    progress = tqdm(range(own.steps), desc=name, mininterval=10.0)
+    progress = tqdm(range(own.steps), desc=f"{own.name}, seed {own.seed}", mininterval=10.0)
     for step in progress:
         if len(order) < own.batch:
             order = torch.randperm(len(drawn.frames))
         chosen, order = order[: own.batch], order[own.batch :]
         loss = _loss(network, drawn.of(chosen), own.label_smoothing)
+        loss = loss + own.refined.steady * _change(network, first, drawn, like_first)
         for group in optimizer.param_groups:
             group["lr"] = learning_rate_at(step, own.steps, own.learning_rate)
         optimizer.zero_grad()
@@ -164,15 +183,16 @@ def _learn(network: TGC, drawn: Drawn, own: TrainSettings, name: str) -> dict[st
     return {key: value.detach().clone() for key, value in network.state_dict().items()}
 
 
-def kept(learnt: dict[str, Tensor], begun: TGC, share: float, known: int) -> dict[str, Tensor]:
-    """Return weights between the learnt ones and those begun from, but for the rows of new labels.
+def kept(learnt: Sequence[dict[str, Tensor]], begun: TGC, share: float, known: int) -> dict[str, Tensor]:
+    """Return the mean of learnt weights, mixed with those begun from but for the rows of new labels.
 
     share: of the weights begun from. known: how many labels these had, the first ones.
     """
     first = begun.state_dict()
     last = f"dense.{len(begun.dense) - 1}."
     blended = {}
-    for name, weights in learnt.items():
+    for name in first:
+        weights = torch.stack([each[name] for each in learnt]).mean(dim=0)
         blended[name] = torch.lerp(weights, first[name], share)
         if name.startswith(last):
             blended[name][known:] = weights[known:]
@@ -186,6 +206,21 @@ def _loss(network: TGC, batch: Drawn, smoothing: float) -> Tensor:
     expected = torch.lerp(batch.targets, even.expand_as(batch.targets), smoothing)
     losses = -(expected * functional.log_softmax(logits, dim=-1)).sum(dim=-1)
     return (losses * batch.weights).mean()
+
+
+def _change(network: TGC, first: TGC, drawn: Drawn, places: Tensor) -> Tensor:
+    """Return how far the network's answers about the known gestures are from the first one's, in nats.
+
+    It is asked about mixtures of two windows each: about the windows alone, both soon agree, yet differ on
+    people who are not among them ("a good teacher is patient and consistent", Beyer et al., CVPR 2022).
+    """
+    one, other = (drawn.of(places[torch.randint(len(places), (MIXED,))]) for _ in range(2))
+    frames = torch.lerp(one.frames, other.frames, torch.rand(MIXED, 1, 1))
+    with torch.no_grad():
+        wanted = torch.softmax(first.answers(first.encoder(frames), one.lengths)[..., :-1], dim=-1)
+    answered = functional.log_softmax(network.answers(network.encoder(frames), one.lengths)[..., :-1], dim=-1)
+    changes = functional.kl_div(answered, wanted, reduction="none").sum(dim=-1)
+    return (changes * one.weights).mean()
 
 
 def as_other(recordings: Sequence[Recording]) -> list[Recording]:

@@ -23,8 +23,10 @@ class Refinement(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Shares are of all windows; `unknown` is the same on every pad, so that the pad does not tell the answer.
     """
 
+    runs: int = 2
+    """Trainings of which the weights are averaged."""
     windows: int = 3072
-    """How many are drawn."""
+    """How many are drawn for each."""
     unknown: float = 0.28
     """None of the gestures."""
     real: float = 0.65
@@ -41,6 +43,8 @@ class Refinement(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Share of the third study's windows that are changed to what a fabric pad would have read."""
     taught: float = 0.5
     """Share of the network begun from in what is to be answered about the known gestures."""
+    steady: float = 2.0
+    """Weight of how far answers about mixed windows move from those of the network begun from."""
 
 
 class TrainSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

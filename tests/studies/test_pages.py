@@ -15,7 +15,7 @@ pytest.importorskip("torch", reason="needs the extra `train`")
 
 from touchd.model.adapt.head import AdaptSettings
 from touchd.model.classifier import SHIPPED_MODEL
-from touchd.model.studies import accuracy, adapting, decision, new_pad, paper, speed
+from touchd.model.studies import accuracy, adapting, decision, new_pad, others, paper, speed
 from touchd.model.studies.challenge import table as challenge
 from touchd.model.studies.checks.scores import read_scores
 from touchd.model.studies.detection import compare as detection
@@ -34,7 +34,10 @@ def stored(path: Path, kind: Any) -> Any:
 
 Tables = Callable[[], dict[str, str]]
 PAGES: dict[str, Tables] = {
-    "accuracy": lambda: accuracy.tables(read_scores(SHIPPED_MODEL.with_name(SCORES_NAME))),
+    "accuracy": lambda: {
+        **accuracy.tables(read_scores(SHIPPED_MODEL.with_name(SCORES_NAME))),
+        **others.tables(stored(others.FILE, others.Measured)),
+    },
     "adapt": lambda: {
         **adapting.tables(stored(adapting.FILE, adapting.Measured)),
         **new_pad.tables(stored(new_pad.FILE, new_pad.Measured)),

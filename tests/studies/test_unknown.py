@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -122,6 +123,23 @@ def test_refining_moves_only_the_upper_layers(tmp_path: Path) -> None:
         assert same == is_lower, name
     again = checkpoint.load(tmp_path / "job" / CHECKPOINT_NAME)
     assert all(torch.equal(again.network[name], weights) for name, weights in saved.network.items())
+
+
+def test_steadied_networks_answer_more_like_the_first_one(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    first = Checkpoint(OWN, GESTURES, 0, dict(TGC(NETWORK, 7).state_dict()), {}, "code", "data")
+    windows = torch.from_numpy(np.stack([each.counts[:T] for each in known()]).astype(np.float32))
+
+    def change(steady: float) -> float:
+        own = msgspec.structs.replace(
+            OWN, steps=40, refined=msgspec.structs.replace(OWN.refined, steady=steady)
+        )
+        saved = refine([*known(), *strange()], Job(f"steady {steady}", own), first, tmp_path)
+        with torch.no_grad():
+            wanted, moved = (torch.softmax(each.build()(windows)[:, :7], 1) for each in (first, saved))
+        return float((wanted - moved).abs().mean())
+
+    assert change(20.0) < 0.5 * change(0.0)
 
 
 def test_a_new_answer_begins_unlikely() -> None:
