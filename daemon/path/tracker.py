@@ -5,7 +5,7 @@ in one of three states:
 
 measuring rest: half a second of frames without a gap shows the untouched pad; then quiet.
 quiet: rest and noise follow the pad. Some frames in which the detector is sure of a hand begin a touch. If a
-    hand is only likely, the classifier is asked about the first 0.2 s of it.
+    hand is only likely, or has left within 0.2 s, the classifier is asked about these 0.2 s.
 touched: rest and noise stay. The touch ends after `quiet_s` without a hand. A hand may also have left a load
     that looks like one: if for `quiet_s` a hand is only likely, or the load is low beside what it was, the
     classifier is asked. What the pad then reads is its new rest.
@@ -52,9 +52,10 @@ SMOOTH_FRAMES, NOISE_DEVIATIONS = 3, 2.0
 STILL_COUNTS, STILL_SHARE = 1.0, 0.03
 SETTLED_FRAMES = round(10 * FRAME_RATE_HZ)
 LONGEST_FRAMES = round(600 * FRAME_RATE_HZ)
-# A hand that is only likely is asked about after as many frames, and is none from this probability of
-# "notouch" on. Without this, a rest that steps by some hundred counts begins touches on the robot.
-ASK_FRAMES, NO_HAND = 11, 0.5
+# A hand that was likely is asked about after as many frames, even if it is gone by then, as one that strikes
+# is. The classifier must call it likely too: else a rest that steps by some hundred counts begins touches on
+# the robot. What may be left of a hand is one from the second number on.
+ASK_FRAMES, STILL_HAND = 11, 0.5
 # What is below the first share of a touch's highest load, and does not rise by the second, may be what the
 # hand left: a fold, a material that creeps.
 LEFT_SHARE, RISE_SHARE = 0.5, 0.15
@@ -225,16 +226,17 @@ class TouchTracker:
 
     def _watch(self, quiet: Quiet, probability: float) -> Onset | None:
         quiet.sure = quiet.sure + 1 if probability > BEGINS else 0
-        # What has been likely for some frames is asked about, even if it is less so by then.
-        is_likely = probability > self._likely or quiet.likely >= BEGIN_FRAMES
-        quiet.likely = quiet.likely + 1 if is_likely else 0
-        if probability <= GOES_ON:
+        is_likely = probability > self._likely
+        quiet.likely = quiet.likely + 1 if is_likely or quiet.likely else 0
+        if probability <= GOES_ON and not quiet.likely:
             quiet.empty = self._index
         if quiet.sure < BEGIN_FRAMES and probability <= SURE:
             if quiet.likely < ASK_FRAMES:
                 return None
-            if not self._sees_hand(ASK_FRAMES):
-                self._rest_now(forgets_hand=True)
+            if self._p_hand(ASK_FRAMES) <= LIKELY:
+                quiet.likely = 0
+                if is_likely:
+                    self._rest_now(forgets_hand=True)
                 return None
         first = min(max(quiet.empty + 1, self._index - SECOND_FRAMES), self._index)
         self._state = Touched(first, self._index, self._index)
@@ -270,7 +272,7 @@ class TouchTracker:
         """Whether a hand that is not held has left: at once if what the pad reads is low and keeps still."""
         if touch.is_low and (self._is_finer or self._is_still()):
             return True
-        return not self._is_finer and not self._sees_hand(self._quiet_frames)
+        return not self._is_finer and self._p_hand(self._quiet_frames) <= STILL_HAND
 
     def _is_still(self) -> bool:
         half = min(self._quiet_frames, SECOND_FRAMES) // 2
@@ -281,12 +283,12 @@ class TouchTracker:
         allowed = np.maximum(STILL_SHARE * (now - self.rest), np.maximum(STILL_COUNTS, self.noise))
         return bool((np.abs(now - before) <= allowed).all())
 
-    def _sees_hand(self, frames: int) -> bool:
-        """Ask the classifier about the last frames, at most a second of them."""
+    def _p_hand(self, frames: int) -> float:
+        """Ask the classifier how likely a hand is in the last frames, at most a second of them."""
         if self._p_no_touch is None:
-            return True
+            return 1.0
         asked = self._recent[-min(frames, SECOND_FRAMES) :].reshape(-1, ROWS, COLUMNS)
-        return self._p_no_touch(asked, self.rest) < NO_HAND
+        return 1.0 - self._p_no_touch(asked, self.rest)
 
     def _has_settled(self, touch: Touched) -> bool:
         """Whether the load has kept still for ten seconds, looking every half second."""

@@ -45,6 +45,7 @@ def pad() -> TrackedPad:
     return pad
 
 
+BLOW = cells(4 / 54, slice(8), slice(8), 600.0)
 WIRE = cells(0.5, 4, slice(8), [1.6, 1.5, 1.9, 2.5, 4.5, 3.3, 3.4, 3.8])
 
 
@@ -82,6 +83,7 @@ def test_a_pad_that_nobody_touches_reports_no_touch(pad: TrackedPad, scans: list
             [pat(2.0, 120.0), fold(3.0, 1.5), fold(1.5, 1.5) + pat(1.5, 120.0), fold(3.0, 3.0)], 2, id="folds"
         ),
         pytest.param([shaken(50.0)[:54] + palm(1.0, 60.0), shaken(50.0)[:162]], 1, id="a hand in hum"),
+        pytest.param([BLOW, 2.0], 1, id="a blow"),
     ],
 )
 def test_touches_are_counted(pad: TrackedPad, scans: list[Scans | float], touches: int) -> None:
