@@ -108,7 +108,8 @@ def test_continuing_losses_are_logged_at_their_beginning_and_in_all(caplog: pyte
     sink.put(0)
     wait_for(lambda: sink.written >= 12)
     sink.stop(WITHIN_S)
-    assert caplog.messages == [
+    # The sink may notice the end of the losses before it is stopped.
+    assert [message for message in caplog.messages if "any more" not in message] == [
         "slow: events or frames are being lost: it is away, too slow, or its disk is full",
         f"slow: {sink.dropped} events or frames were lost in all",
     ]
