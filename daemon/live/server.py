@@ -167,6 +167,12 @@ class LiveServer:
         door.shut()
         closed = asyncio.create_task(server.wait_closed())
         await asyncio.wait([closed, status], timeout=GOODBYE_S)
+        # What is left when the loop closes would be reported as a fault of Python's.
+        left = asyncio.all_tasks() - {asyncio.current_task()}
+        for task in left:
+            task.cancel()
+        if left:
+            await asyncio.wait(left, timeout=GOODBYE_S)
 
     async def _watch(self, connection: ServerConnection) -> None:
         """Serve a viewer until it leaves; close its connection if it sends something unexpected."""
