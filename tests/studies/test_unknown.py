@@ -132,7 +132,7 @@ def test_steadied_networks_answer_more_like_the_first_one(tmp_path: Path) -> Non
 
     def change(steady: float) -> float:
         own = msgspec.structs.replace(
-            OWN, steps=40, refined=msgspec.structs.replace(OWN.refined, steady=steady)
+            OWN, steps=20, refined=msgspec.structs.replace(OWN.refined, steady=steady)
         )
         saved = refine([*known(), *strange()], Job(f"steady {steady}", own), first, tmp_path)
         with torch.no_grad():
