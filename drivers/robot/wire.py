@@ -1,6 +1,5 @@
 """A session with a robot in QiMessaging, NAOqi's protocol, on any computer."""
 
-import hashlib
 import re
 import select
 import socket
@@ -121,7 +120,8 @@ def encrypted(line: socket.socket, go_on: Callable[[], None]) -> tuple[socket.so
 
     go_on: called whenever the connection's timeout is over, to raise an error or to continue. Raises OSError.
     """
-    # 4.5 MB, which a robot without TLS does not need.
+    # OpenSSL takes megabytes, which a robot without TLS does not need.
+    import hashlib
     import ssl
 
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
