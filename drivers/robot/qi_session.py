@@ -55,7 +55,8 @@ class QiSession:
         if self._settings.user is not None:
             login = {"user": self._settings.user, "token": self._settings.read_token()}
             self._session.setClientAuthenticatorFactory(_Authenticator(login))
-        connecting = self._session.connect(self._settings.url, _async=True)
+        url = self._settings.url.strip()
+        connecting = self._session.connect(url if "://" in url else f"tcp://{url}", _async=True)
         try:
             self._value(connecting, self._limits.connect_s, "connecting")
         except (RobotRefused, RobotLost) as error:

@@ -14,7 +14,7 @@ from touchd.drivers.whole_file import secret_in
 
 # On which NAOqi listens: up to 2.8, and 2.9.
 PORTS = {"tcp": 9559, "tcps": 9503}
-ADDRESS = re.compile(r"(tcps?)://(\[[^\s\[\]]+\]|[^\s/@:\[\]]+)(?::(\d{0,5}))?", re.IGNORECASE)
+ADDRESS = re.compile(r"(?:(tcps?)://)?(\[[^\s\[\]]+\]|[^\s/@:\[\]]+)(?::(\d{0,5}))?", re.IGNORECASE)
 # Limit for a call once the daemon stops; three of them fit into the two seconds it has for that.
 STOPPING_LIMIT_S = 0.25
 ADVICE = "if a robot is there, check user and token, and whether it wants tcp:// or tcps://"
@@ -68,11 +68,11 @@ class Wait:
 
 
 def address_of(url: str) -> tuple[str, str, int]:
-    """Return a robot's scheme, tcp or tcps, host and port; raises ValueError that shows no password."""
+    """Return a robot's scheme (tcp if none is named), host and port; raises ValueError without a password."""
     parts = ADDRESS.fullmatch(url.strip())
     if parts is None or int(parts[3] or 1) not in range(1, 65536):
         raise ValueError(f"url {without_password(url)!r} is not an address such as tcp://nao.local:9559")
-    scheme = parts[1].lower()
+    scheme = (parts[1] or "tcp").lower()
     return scheme, parts[2].strip("[]"), int(parts[3] or PORTS[scheme])
 
 

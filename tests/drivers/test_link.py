@@ -204,6 +204,7 @@ def test_a_link_that_does_not_end_is_logged_and_left(caplog: pytest.LogCaptureFi
         ("tcps://nao.local:1", "nao.local", 1),
         ("tcp://nao.local:65535", "nao.local", 65535),
         ("TCP://Nao.local:9559 ", "Nao.local", 9559),
+        *(("nao.local ", "nao.local", 9559), ("nao.local:9503", "nao.local", 9503)),
         ("tcp://[fe80::1%eth0]:9559", "fe80::1%eth0", 9559),
         *(("tcp://nao", "nao", 9559), ("tcps://nao:", "nao", 9503), ("tcp://[::1]", "::1", 9559)),
     ],
@@ -221,10 +222,7 @@ TOKEN = {"user": "nao", "token_file": "/dev/null"}
     ("settings", "complaint"),
     [
         *(({"url": f"tcp://nao:{port}"}, NO_ADDRESS) for port in (65536, 123456, 0, "port", "9559/x")),
-        *(
-            ({"url": url}, NO_ADDRESS)
-            for url in ("udp://nao:1", "tcp://a b:9", "nao.local:9559", "tcp://::1:9")
-        ),
+        *(({"url": url}, NO_ADDRESS) for url in ("udp://nao:1", "tcp://a b:9", "::1", "tcp://::1:9")),
         ({"url": "tcp://nao:s3cret@nao:9559"}, rf"tcp://\*\*\*@nao:9559' {NO_ADDRESS}"),
         *(({"url": NAO, "prefix": prefix}, "must be one word") for prefix in ("ALTouch", "a/b", "")),
         *(({"url": NAO, name: value}, "set both") for name, value in TOKEN.items()),
