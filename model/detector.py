@@ -89,7 +89,7 @@ def at_rest(state: DetectorState, frames: NDArray[np.float32], *, forgets_hand: 
 
 
 def after_gap(state: DetectorState, counts: NDArray[np.float32]) -> DetectorState:
-    """Return the state for (64,) counts after a gap, so that the step across it is no movement."""
+    """Return the state for (64,) counts after a gap; the change across it is not taken for movement."""
     levels = state["levels"].copy()
     levels[0, 1:] = counts
     return {**state, "levels": levels}

@@ -45,16 +45,17 @@ TAXELS = ROWS * COLUMNS
 SECOND_FRAMES = 2 * REST_FRAMES
 # After a longer gap, rest is measured again: it may be another pad.
 CHANGED_AFTER_MS = 2000.0
-# Load: counts above rest plus so many noise deviations, averaged over so many frames and summed over the pad.
+# The load is what the mean of some frames has above rest and some standard deviations of noise, summed over
+# the pad.
 SMOOTH_FRAMES, NOISE_DEVIATIONS = 3, 2.0
 # A taxel is still if its mean of half a second differs from that before by at most as many counts, or as
 # large a share of its load: a jacket laid on the pad settles so, a resting hand does not.
 STILL_COUNTS, STILL_SHARE = 1.0, 0.03
 SETTLED_FRAMES = round(10 * FRAME_RATE_HZ)
 LONGEST_FRAMES = round(600 * FRAME_RATE_HZ)
-# A hand that was likely is asked about after as many frames, even if it is gone by then, as one that strikes
-# is. The classifier must call it likely too: else a rest that steps by some hundred counts begins touches on
-# the robot. What may be left of a hand is one from the second number on.
+# So many frames after a hand became likely, the classifier is asked about them, even if the hand is gone by
+# then: a blow is shorter. It must call the hand likely too, or a rest that steps by some hundred counts
+# begins touches on the robot. At the end of a touch, a hand is still there above the second number.
 ASK_FRAMES, STILL_HAND = 11, 0.5
 # What is below the first share of a touch's highest load, and does not rise by the second, may be what the
 # hand left: a fold, a material that creeps.
@@ -108,8 +109,8 @@ class MeasuringRest:
 class Quiet:
     """No hand is on the pad.
 
-    since: the first frame. empty: the last frame in which no hand could be. sure, likely: for how many frames
-    the detector has been sure of a hand, or called it likely.
+    since: the first frame. empty: the last frame in which no hand could be. sure: for how many frames the
+    detector has been sure of a hand. likely: how many frames there are since it first called one likely.
     """
 
     since: int

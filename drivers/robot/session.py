@@ -68,7 +68,7 @@ class Wait:
 
 
 def address_of(url: str) -> tuple[str, str, int]:
-    """Return a robot's scheme (tcp if none is named), host and port; raises ValueError without a password."""
+    """Return a robot's scheme (tcp if none is named), host and port; a ValueError shows no password."""
     parts = ADDRESS.fullmatch(url.strip())
     if parts is None or int(parts[3] or 1) not in range(1, 65536):
         raise ValueError(f"url {without_password(url)!r} is not an address such as tcp://nao.local:9559")

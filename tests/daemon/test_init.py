@@ -224,7 +224,7 @@ def test_a_grid_that_does_not_fit_is_asked_for_again_and_then_taken() -> None:
         terminal.until("Rows and columns? [10x10] (as fabric-grid)")
         terminal.answer("8x8", "209 bytes a frame do not fit 8x8 cells", "Rows and columns? [10x10]")
     with terminal:
-        # Unplugged meanwhile.
+        # The pad is unplugged here.
         terminal.answer("8x8", f"{port.path} went away: unplugged or switched off?", "The robot's name")
 
 
