@@ -228,7 +228,9 @@ class TouchTracker:
     def _watch(self, quiet: Quiet, probability: float) -> Onset | None:
         quiet.sure = quiet.sure + 1 if probability > BEGINS else 0
         is_likely = probability > self._likely
-        quiet.likely = quiet.likely + 1 if is_likely or quiet.likely else 0
+        # A hand that has left stays likely only for a classifier that can be asked.
+        stays = quiet.likely > 0 and self._p_no_touch is not None
+        quiet.likely = quiet.likely + 1 if is_likely or stays else 0
         if probability <= GOES_ON and not quiet.likely:
             quiet.empty = self._index
         if quiet.sure < BEGIN_FRAMES and probability <= SURE:

@@ -7,7 +7,7 @@ from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 from rigs.tracked_pad import TrackedPad
 
 from touchd.daemon.path import tracker
-from touchd.daemon.path.tracker import Onset, Release, TouchSettings
+from touchd.daemon.path.tracker import Onset, Question, Release, TouchSettings, TouchTracker
 from touchd.model.detector import Detector, DetectorState
 
 AT_S = np.arange(60 * 54, dtype=np.float32)[:, None, None] / 54
@@ -225,6 +225,15 @@ def test_a_likely_hand_is_a_touch_within_a_quarter_second_if_the_classifier_agre
     pad = TrackedPad(None, lambda frames: p_no_touch, Likely(real.session, real.width, real.training))
     pad.feel(3.0)
     assert len(pad.feel(palm(0.25, 60.0))) == touches
+
+
+@pytest.mark.parametrize(("question", "touches"), [(lambda frames, rest: 0.1, 1), (None, 0)])
+def test_a_likely_hand_that_left_begins_a_touch_only_if_the_classifier_confirms_it(
+    question: Question | None, touches: int
+) -> None:
+    real, pad = Detector.load(), TrackedPad()
+    pad.tracker = TouchTracker(TouchSettings(), Likely(real.session, real.width, real.training), question)
+    assert len(pad.feel(3.0, palm(1 / 54, 60.0), 0.3)) == touches
 
 
 class Doubtful(Detector):
