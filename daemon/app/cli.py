@@ -34,7 +34,6 @@ COMMANDS = {
     "config": "prints an example configuration, every setting explained",
     "docs": "prints a page of the documentation",
     "doctor": "checks pad, model, robot and service; says what to do",
-    "bench": "measures latency, processor, memory, start-up and speed",
 }
 """What each subcommand does; its module in `commands` is imported only when it is called."""
 
