@@ -133,5 +133,7 @@ class Memory:
 def _guess(words: Vocabulary, gesture: str) -> str:
     """Return the words for an unsure gesture; only touchd's own English goes into an English sentence."""
     name = name_of(words, gesture)
-    shipped_name, phrase = SHIPPED["en"].get(gesture, ("", ""))
-    return f"{phrase[0].upper()}{phrase[1:]}, perhaps?" if name == shipped_name else f"{name}?"
+    shipped = SHIPPED.get(gesture)
+    if shipped is None or name != shipped.name:
+        return f"{name}?"
+    return f"{shipped.phrase[0].upper()}{shipped.phrase[1:]}, perhaps?"
