@@ -16,13 +16,13 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
 from touchd.daemon.bridges.bridge import GOODBYE_S, POLL_S, STALE_S, Bridge, BridgeError, Item
 from touchd.daemon.bridges.settings import LslSettings, Ros2Settings
 from touchd.daemon.path.events import Event
-from touchd.drivers.faults import Backoff
 from touchd.drivers.frame import Frame
 
 MOST_MB = 16
@@ -33,9 +33,8 @@ PROGRAM = (sys.executable, "-m", "touchd.daemon.bridges.apart")
 ENVIRONMENT = {"MALLOC_ARENA_MAX": "2", "OPENBLAS_NUM_THREADS": "1", "PYTHONSAFEPATH": "1"}
 READY = "ready"
 # A start takes half a second of a core.
-FIRST_RETRY_S, LONGEST_RETRY_S = 0.2, 10.0
-# Of what the process logs at once: DDS logs each packet that it cannot read.
-MOST_LINES = 40
+RETRY_S = 5.0
+MOST_LINE_BYTES = 1000
 
 
 class Outlet(Protocol):
@@ -55,13 +54,11 @@ class ApartBridge(Bridge):
         library, domain = ("ros2", section.domain) if isinstance(section, Ros2Settings) else ("lsl", 0)
         self._arguments = (library, str(domain), name, *pads)
         self._process: subprocess.Popen[bytes] | None = None
-        super().__init__(library, pads, math.inf, "its own process")
-        self._backoff = Backoff(FIRST_RETRY_S, LONGEST_RETRY_S)
+        super().__init__(library, pads, math.inf, "its own process", RETRY_S)
 
     def hold(self) -> str:
         with subprocess.Popen(
             [*SMALL_STACKS, *PROGRAM, *self._arguments],
-            bufsize=0,
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
@@ -112,17 +109,13 @@ class ApartBridge(Bridge):
     def _listen(self, process: subprocess.Popen[bytes]) -> str:
         """Log what the process logs, until it ends; returns the last line."""
         assert process.stderr is not None
-        rest, last = b"", ""
-        # Read large pieces: a library may log faster than lines can be processed, and must not block on that.
-        while data := os.read(process.stderr.fileno(), 65536):
-            *lines, rest = (rest + data).split(b"\n")[-MOST_LINES:]
-            rest = rest[:1000]
-            for line in lines:
-                last = line.decode(errors="replace")
-                if last == READY:
-                    self.connected()
-                else:
-                    self._log.info("%s: %s", self.name, last)
+        last = ""
+        for line in iter(partial(process.stderr.readline, MOST_LINE_BYTES), b""):
+            last = line.decode(errors="replace").rstrip("\n")
+            if last == READY:
+                self.connected()
+            else:
+                self._log.info("%s: %s", self.name, last)
         return last
 
 

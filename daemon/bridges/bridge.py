@@ -1,7 +1,6 @@
 """The base class of bridges: a bounded queue, a limited frame rate, a connection that is kept open."""
 
 import logging
-import math
 import threading
 import time
 from abc import abstractmethod
@@ -11,7 +10,6 @@ from typing import Any, TypeAlias
 from touchd.daemon.path.events import Event
 from touchd.daemon.sinks.sink import QueuedSink
 from touchd.drivers.errors import TouchdError
-from touchd.drivers.faults import Backoff
 from touchd.drivers.frame import Frame
 
 # An event, or a frame and its pad.
@@ -20,9 +18,7 @@ Item: TypeAlias = Event | tuple[Frame, str]
 # One second of frames of a pad; more would only delay events.
 MOST_FRAMES = 54
 POLL_S = 0.05
-BACKOFF_FIRST_S, BACKOFF_CAP_S = 0.1, 2.0
-# After a connection that lasted this long, the pauses between attempts begin again with the shortest.
-STEADY_S = 5.0
+RETRY_S = 1.0
 # An event that has waited longer is not sent: a receiver would take it for a new one. As for the robot.
 STALE_S = 2.0
 GOODBYE_S = 1.0
@@ -46,18 +42,19 @@ class Bridge(QueuedSink[Any]):
     Its queue has a thread, and so has the connection, which is kept open. While the peer is away, events wait
     for STALE_S and frames are dropped. Other pads' events are ignored.
     frames_hz: at most this many frames a second for each pad; math.inf: all frames; None: none.
-    where: the peer's address, for the log. limit: of what the peer may send over the present connection.
+    where: the peer's address, for the log. retry_s: pause before each attempt to connect again.
+    limit: of what the peer may send over the present connection.
     """
 
-    def __init__(self, name: str, pads: Sequence[str], frames_hz: float | None, where: str) -> None:
-        self.pads = frozenset(pads)
+    def __init__(
+        self, name: str, pads: Sequence[str], frames_hz: float | None, where: str, retry_s: float = RETRY_S
+    ) -> None:
         self.frames_hz = frames_hz
         self.limit = PeerLimit()
         self._where = where
+        self.retry_s = retry_s
         self._next_frame_s = dict.fromkeys(pads, 0.0)
-        self._peer_is_there = threading.Event()
-        self._there_since_s = math.inf
-        self._backoff = Backoff(BACKOFF_FIRST_S, BACKOFF_CAP_S)
+        self._peer_is_there, self._was_there = threading.Event(), False
         self._ending = threading.Event()
         self._keeper = threading.Thread(target=self._keep_connected, name=f"touchd-{name}-link", daemon=True)
         super().__init__(name, logging.getLogger(f"touchd.daemon.bridges.{name}"))
@@ -90,12 +87,12 @@ class Bridge(QueuedSink[Any]):
 
     def put(self, item: Item) -> None:
         """Queue an event of these pads or of the robot; never blocks."""
-        if isinstance(item, tuple) or getattr(item, "pad", None) in {None, *self.pads}:
+        if isinstance(item, tuple) or getattr(item, "pad", None) in {None, *self._next_frame_s}:
             super().put((item, time.monotonic()))
 
     def put_frame(self, frame: Frame, pad: str) -> None:
         """Queue a frame if one is due and the peer is connected; never blocks."""
-        if self.frames_hz is None or pad not in self.pads or not self._peer_is_there.is_set():
+        if self.frames_hz is None or pad not in self._next_frame_s or not self._peer_is_there.is_set():
             return
         due_s, period_s = self._next_frame_s[pad], 1.0 / self.frames_hz
         if frame.host_s < due_s:
@@ -103,7 +100,7 @@ class Bridge(QueuedSink[Any]):
         # A late frame does not shift the schedule; a pause does.
         begin_s = due_s if frame.host_s - due_s < period_s else frame.host_s
         self._next_frame_s[pad] = begin_s + period_s
-        if len(self._items) < MOST_FRAMES * len(self.pads):
+        if len(self._items) < MOST_FRAMES * len(self._next_frame_s):
             self.put((frame, pad))
         else:
             self._items.dropped += 1
@@ -111,7 +108,7 @@ class Bridge(QueuedSink[Any]):
     def write(self, item: tuple[Item, float]) -> None:
         """Send one item; an event that is lost with its connection is sent again over the next."""
         sent, since_s = item
-        self.limit.sent()
+        self.limit.sent += 1
         if isinstance(sent, tuple):
             self.send_frame(*sent)
             return
@@ -132,7 +129,7 @@ class Bridge(QueuedSink[Any]):
 
     def connected(self) -> None:
         """Note that the peer is connected, so that events can be sent."""
-        is_first, self._there_since_s = math.isinf(self._there_since_s), time.monotonic()
+        is_first, self._was_there = not self._was_there, True
         self._peer_is_there.set()
         if not self._faults.end("away", f"connected to {self._where}") and is_first:
             self._log.info("%s: connected to %s", self.name, self._where)
@@ -157,31 +154,29 @@ class Bridge(QueuedSink[Any]):
                 reason = f"{type(error).__name__}: {error}"
             if self._ending.is_set():
                 return
-            if self._peer_is_there.is_set() and time.monotonic() - self._there_since_s >= STEADY_S:
-                self._backoff.reset()
             self._peer_is_there.clear()
             away = f"{self._where} is away ({reason}); trying until it is there"
             self._faults.begin("away", away, cause=reason)
-            self._ending.wait(self._backoff.pause_s())
+            self._ending.wait(self.retry_s)
 
 
 class PeerLimit:
-    """Limits what a peer may send over one connection, before a library keeps or parses it."""
+    """Limits what a peer may send over one connection, before a library keeps or parses it.
+
+    sent: items that the peer got, which it may answer.
+    """
 
     def __init__(self) -> None:
         self.is_exceeded = False
+        self.sent = 0
         self._began_s = time.monotonic()
-        self._sent = self._received = 0
-
-    def sent(self) -> None:
-        """Note that the peer gets an item, which it may answer."""
-        self._sent += 1
+        self._received = 0
 
     def take(self, count: int) -> bool:
         """Count received bytes; return whether they are within the limit."""
         self._received += count
         for_time = PEER_BYTES_PER_S * (time.monotonic() - self._began_s)
-        most = PEER_FIRST_BYTES + for_time + PEER_BYTES_PER_ITEM * self._sent
+        most = PEER_FIRST_BYTES + for_time + PEER_BYTES_PER_ITEM * self.sent
         self.is_exceeded |= self._received > most
         return not self.is_exceeded
 

@@ -13,14 +13,7 @@ from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode, MQTTProtocolVersi
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
-from touchd.daemon.bridges.bridge import (
-    MOST_FRAMES,
-    POLL_S,
-    Bridge,
-    BridgeError,
-    PeerLimit,
-    arrival_s,
-)
+from touchd.daemon.bridges.bridge import MOST_FRAMES, POLL_S, Bridge, BridgeError, PeerLimit, arrival_s
 from touchd.daemon.bridges.settings import MqttSettings
 from touchd.daemon.path.events import UNCERTAIN, Event, SensorEvent, TouchBegan, TouchEnded, encode, timestamp
 from touchd.drivers import hosts
@@ -57,12 +50,11 @@ class MqttBridge(Bridge):
         self._topic = f"{name}/{pad}"
         self._state, self._is_touched = "down", False
         # Held while the retained messages are published, so that the newest comes last.
-        self._retaining = threading.RLock()
+        self._retaining = threading.Lock()
         # With the same name, a new connection replaces a lost one, whose last will the broker still holds. By
         # its random end, the clients of cloned computers do not end each other's connections.
-        self._client_id = f"touchd_{socket.gethostname()}_{name}_{pad}_{secrets.token_hex(4)}".replace(
-            "/", "_"
-        )
+        own = f"touchd_{socket.gethostname()}_{self._topic}_{secrets.token_hex(4)}"
+        self._client_id = own.replace("/", "_")
         # The first is tried next.
         self._versions = [MQTTProtocolVersion.MQTTv5, MQTTProtocolVersion.MQTTv311]
         self._client: _Client | None = None

@@ -62,6 +62,7 @@ def opened(port: int) -> Iterator[Open]:
 
         def open_bridge(at: int = port, **settings: Any) -> Bridge:
             (bridge,) = made(at, **settings)
+            bridge.retry_s = 0.1
             bridge.start()
             closing.callback(bridge.stop, 2.0)
             return bridge

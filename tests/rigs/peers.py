@@ -62,8 +62,9 @@ class Peer(ABC):
         """Run the peer, subscribed."""
 
     def bridge(self) -> Bridge:
-        """Return a started bridge to this peer."""
+        """Return a started bridge to this peer, which tries ten times a second while it is away."""
         bridge = self.make()
+        bridge.retry_s = 0.1
         self._bridges.callback(bridge.stop, 2.0)
         bridge.start()
         return bridge
