@@ -30,7 +30,7 @@ COMMANDS = {
     "teach": "records your gestures and adapts the model, in five minutes",
     "train": "adapts the model to recordings of your own",
     "plot": "draws recordings, or a journal, as a picture",
-    "convert": "writes a journal or a recording as CSV or MCAP",
+    "convert": "writes a journal as CSV, a journal or a recording as MCAP",
     "config": "prints an example configuration, every setting explained",
     "docs": "prints a page of the documentation",
     "doctor": "checks pad, model, robot and service; says what to do",

@@ -1,4 +1,4 @@
-"""`touchd convert`: a journal or a recording as CSV or MCAP."""
+"""`touchd convert`: a journal as CSV or MCAP, a recording as MCAP."""
 
 import argparse
 import csv
@@ -15,7 +15,7 @@ from touchd.daemon.path.events import Event
 from touchd.daemon.sinks.journal import JournalError
 from touchd.daemon.sinks.touches import read_events
 from touchd.drivers.errors import TouchdError, os_errors_as
-from touchd.drivers.recording import SUFFIXES, read_provenance, read_recordings, realign, write_recordings
+from touchd.drivers.recording import SUFFIXES, read_recordings
 from touchd.drivers.whole_file import PRIVATE_MODE, whole_file
 
 
@@ -26,7 +26,7 @@ class ConvertError(TouchdError):
 def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="touchd convert",
-        description="Writes a journal or a recording as CSV (for pandas) or as MCAP (for Foxglove).",
+        description="Writes a journal as CSV (for pandas), a journal or a recording as MCAP (for Foxglove).",
     )
     parser.add_argument("file", type=Path, metavar="FILE", help="a journal, or a recording (.csv, .csv.gz)")
     parser.add_argument(
@@ -39,8 +39,11 @@ def main(arguments: Sequence[str]) -> int:
     """Write the file and print its name; returns 0."""
     options = parser().parse_args(arguments)
     file, out = options.file, options.out
+    is_recording = file.name.endswith(SUFFIXES)
     if out.suffix not in (".csv", ".mcap"):
         raise ConvertError(f"{out}: unknown format; end the name of --out with .csv or .mcap")
+    if is_recording and out.suffix == ".csv":
+        raise ConvertError(f"{file}: a recording is CSV already; end the name of --out with .mcap")
     if out.exists():
         raise ConvertError(f"{out}: exists; give another --out, or move the file away")
     if out.suffix == ".mcap":
@@ -49,39 +52,31 @@ def main(arguments: Sequence[str]) -> int:
     with (
         Console(stderr=True).status(f"reading {file}"),
         os_errors_as(ConvertError, f"{out}: cannot be written", "give another --out"),
+        whole_file(out, replace=False, mode=PRIVATE_MODE) as partial,
     ):
-        if file.name.endswith(SUFFIXES):
-            _convert_recording(file, out)
+        if is_recording:
+            _write_recording(file, partial)
         else:
-            with whole_file(out, replace=False, mode=PRIVATE_MODE) as partial:
-                _convert_journal(file, partial)
+            _write_journal(file, partial, is_csv=out.suffix == ".csv")
     sys.stdout.write(f"{out}\n")
     return 0
 
 
-def _convert_recording(file: Path, out: Path) -> None:
-    recordings = read_recordings(file)
-    if out.suffix == ".csv":
-        # touchd's own layout holds whole scans.
-        write_recordings(out, list(map(realign, recordings)), read_provenance(file))
-        return
+def _write_recording(file: Path, out: Path) -> None:
     from touchd.daemon.record import mcap
 
-    with (
-        whole_file(out, replace=False, mode=PRIVATE_MODE) as partial,
-        partial.open("xb") as target,
-    ):
-        mcap.write_recordings(recordings, target)
+    with out.open("xb") as target:
+        mcap.write_recordings(read_recordings(file), target)
 
 
-def _convert_journal(file: Path, out: Path) -> None:
+def _write_journal(file: Path, out: Path, *, is_csv: bool) -> None:
     # Read once: a running daemon may append to the file or rotate it.
     events, wrong = read_events(file)
     if not events:
         raise JournalError(f"{file}, line 1: {wrong[0]}" if wrong else f"{file}: no events in it")
     if wrong:
         sys.stderr.write(f"{file}: skipped {len(wrong)} lines that are not events\n")
-    if out.suffix == ".csv":
+    if is_csv:
         columns = list(dict.fromkeys(chain.from_iterable(map(_flat, events))))
         with out.open("x", encoding="utf-8", newline="") as target:
             # Readable by pandas and spreadsheets.

@@ -11,27 +11,20 @@ from rich.console import Console
 from touchd.daemon.commands.settings import add_settings, load_model, settings_of
 from touchd.daemon.playback.stream import add_arguments, chosen_stream
 from touchd.daemon.sinks.touches import read_journal
-from touchd.drivers.errors import one_line, within
+from touchd.drivers.errors import one_line
 from touchd.drivers.recording import SUFFIXES
 
-MOST_TOUCHES = 100
+MOST_TOUCHES = 24
 
 
 def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="touchd plot",
-        description="Draws recordings (pressure, touches, answers, mean pads) or the touches of a journal.",
+        description="Draws recordings (pressure, touches, answers, mean pads) or a journal's last touches.",
     )
     add_arguments(parser)
     parser.add_argument("-o", "--out", type=Path, metavar="PNG", help="the picture; by default FILE.png")
     add_settings(parser, port=False)
-    parser.add_argument(
-        "--touches",
-        type=within(int, 1, MOST_TOUCHES),
-        default=24,
-        metavar="N",
-        help="a journal's last touches (%(default)s)",
-    )
     return parser
 
 
@@ -55,7 +48,7 @@ def main(arguments: Sequence[str]) -> int:
             traced = plot.trace(stream, settings, model)
             figure = plot.draw_recording(traced, f"{names}, answers of {model.name}")
     elif len(options.files) == 1:
-        figure = plot.draw_touches(read_journal(options.files[0])[-options.touches :], names)
+        figure = plot.draw_touches(read_journal(options.files[0])[-MOST_TOUCHES:], names)
     else:
         raise plot.PlotError(f"{names}: give one journal, or recordings only")
     plot.save(figure, path)

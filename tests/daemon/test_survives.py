@@ -234,7 +234,7 @@ def test_recordings_of_people_are_as_private_as_the_journal(tmp_path: Path) -> N
         TouchStore(tmp_path / "touches", 3, "a made pad").add(ended_touch(1))
         Journal(tmp_path / "events.jsonl", max_bytes=10_000, keep=1).close()
         (kept,) = kept_touches(tmp_path / "touches")
-        converted = tmp_path / "copy.csv"
+        converted = tmp_path / "copy.mcap"
         assert cli.main(["convert", str(kept.path), "-o", str(converted)]) == 0
     finally:
         os.umask(before)
