@@ -31,8 +31,8 @@ from touchd.model.classifier import ModelMetadata
 
 EVENTS: list[tuple[Event, str]] = [
     (
-        TouchBegan(touch=7, time=TIME, sensor_ms=81234),
-        '{"type":"touch_began","touch":7,"time":"TIME","sensor_ms":81234,"pad":"pad"}',
+        TouchBegan(touch=2**53, time=TIME, sensor_ms=0),
+        '{"type":"touch_began","touch":9007199254740992,"time":"TIME","sensor_ms":0,"pad":"pad"}',
     ),
     (
         PREDICTION,
@@ -63,7 +63,12 @@ def test_an_event_survives_its_line_of_json(event: Event, text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "line", [b"", b"{", b'{"type":"unheard_of"}', b'{"type":"touch_began","touch":"seven"}', b"\xff"]
+    "line",
+    [
+        *(b"", b"{", b'{"type":"unheard_of"}', b'{"type":"touch_began","touch":"seven"}', b"\xff"),
+        b'{"type":"touch_began","touch":-1,"time":"2026-11-20T10:00:01.000Z","sensor_ms":0}',
+        b'{"type":"touch_began","touch":9007199254740993,"time":"2026-11-20T10:00:01.000Z","sensor_ms":0}',
+    ],
 )
 def test_a_line_that_is_not_an_event_is_refused(line: bytes) -> None:
     with pytest.raises(EventError, match=r"not an event: .+"):

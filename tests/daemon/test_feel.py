@@ -10,7 +10,7 @@ from rigs.made_events import PREDICTION
 from rigs.scripted_model import Scripted
 
 from touchd.daemon.path.events import Event, Prediction, TouchEnded
-from touchd.daemon.path.feel import Feel
+from touchd.daemon.path.feel import Feel, FeelMeter
 from touchd.daemon.path.pipeline import Pipeline, PipelineSettings
 from touchd.daemon.robot.actions import MEASURES, Action, ActionRule
 from touchd.daemon.robot.reactions import Choice
@@ -54,7 +54,8 @@ def test_a_stroke_has_its_length_and_direction() -> None:
 
 def test_pats_have_their_rhythm_and_a_still_hand_has_none() -> None:
     beats = [400 * max(0.0, np.sin(2 * np.pi * 3 * at / RATE_HZ)) for at in range(3 * RATE_HZ)]
-    assert feel_of([blob(4, 4, load) for load in beats]).rhythm_hz == pytest.approx(3.0, abs=0.15)
+    light = [40.0] * RATE_HZ
+    assert feel_of([blob(4, 4, load) for load in light + beats]).rhythm_hz == pytest.approx(3.0, abs=0.15)
     still = feel_of([blob(4, 4, 300)] * (3 * RATE_HZ))
     assert still.rhythm_hz == 0
     assert still.path < 1
@@ -69,6 +70,13 @@ def test_pressure_and_area_are_those_of_the_hand(counts: float) -> None:
     assert feel.peak == pytest.approx(pressed.max(), abs=4)
     assert feel.area == pytest.approx(len(touched), abs=5)
     assert feel.mean == pytest.approx(touched.mean(), rel=0.3)
+
+
+def test_a_touch_too_light_to_measure_has_no_load() -> None:
+    meter = FeelMeter(np.zeros(64, np.float32), np.zeros(64, np.float32), None)
+    meter.add(np.full((8, 8), 3.9, np.float32))
+    feel = meter.feel()
+    assert (feel.duration_s, feel.peak, feel.mean, feel.area, feel.rhythm_hz) == (0, 0, 0, 0, 0)
 
 
 def test_a_rule_can_require_a_hard_or_short_touch() -> None:
