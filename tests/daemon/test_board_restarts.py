@@ -6,13 +6,12 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from rigs.made_pad import MadePad, Scans, nothing, palm
-from rigs.scripted_model import Scripted
 
-from touchd.daemon.path.events import Event, Prediction, SensorEvent, TouchBegan, TouchEnded
+from touchd.daemon.path.events import Event, Prediction, SensorEvent, TouchEnded
 from touchd.daemon.path.monitor import PadMonitor
 from touchd.daemon.path.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.drivers.fakes.encode import encode_frame
-from touchd.drivers.frame import Counts, Frame, SensorState
+from touchd.drivers.frame import Counts
 from touchd.drivers.pad.format import PRESETS, PadFormat
 from touchd.drivers.pad.parser import FrameParser
 from touchd.model.classifier import Classifier
@@ -124,29 +123,3 @@ def test_a_long_register_dump_and_the_boot_log_after_it_are_one_restart(describe
         now_s += 1 / 54
         parser.feed(encode_frame(described, still[number % len(still)], clock_ms), now_s)
     assert parser.counts.restarts == 2
-
-
-@pytest.mark.parametrize("jump_ms", [-900, 60_000])
-def test_the_clock_of_a_pad_that_was_away_does_not_matter(jump_ms: int) -> None:
-    """What it sent before it went has no part in what comes after."""
-
-    def begins_after_ms(jump_ms: int) -> int:
-        events: list[Event] = []
-        pipeline = Pipeline(PipelineSettings(), Scripted(), events.append, Clock(lambda: 100.0))
-        pad, clock_ms = MadePad(), 5000
-
-        def feel(*pressures: Scans) -> None:
-            nonlocal clock_ms
-            for counts in pad.counts(np.concatenate(pressures)):
-                pipeline.on_frame(Frame(clock_ms, 100.0, counts))
-                clock_ms += 18
-
-        feel(nothing(2.0), palm(2.0, 300.0))
-        pipeline.on_sensor_state(SensorState("down", "unplugged"))
-        pipeline.on_sensor_state(SensorState("up", ""))
-        clock_ms += jump_ms
-        back_ms = clock_ms
-        feel(nothing(0.3), palm(1.5), nothing(1.5))
-        return [event.sensor_ms for event in events if isinstance(event, TouchBegan)][-1] - back_ms
-
-    assert begins_after_ms(jump_ms) == begins_after_ms(5000)

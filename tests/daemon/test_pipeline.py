@@ -2,12 +2,11 @@
 
 import itertools
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -16,13 +15,13 @@ from rigs.expectations import LENGTHS, answers
 from rigs.made_pad import MadePad, Scans, nothing, palm, pat
 from rigs.scripted_model import LABELS, PressureDetector, Scripted
 
-from touchd.daemon.path.decide import DecisionSettings
+from touchd.daemon.path.decide import Decision, DecisionSettings
 from touchd.daemon.path.events import Event, LivePrediction, Prediction, SensorEvent, TouchBegan, TouchEnded
 from touchd.daemon.path.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.daemon.path.tracker import TouchSettings
 from touchd.daemon.playback import stream as stream_module
 from touchd.daemon.playback.stream import play
-from touchd.drivers.frame import DEFAULT_PAD, MAX_COUNT, NO_TOUCH, Counts, Frame, SensorState
+from touchd.drivers.frame import MAX_COUNT, NO_TOUCH, Counts, Frame, SensorState
 from touchd.drivers.recording import Stream, ideal_clock_ms, read_recordings, splice
 from touchd.model.classifier import Classifier, ModelState
 from touchd.model.detector import Detector
@@ -32,6 +31,8 @@ STOPPED = Clock(monotonic_s=lambda: 100.0, epoch_s=lambda: 1795168800.0)
 TIME = "2026-11-20T10:00:00.000Z"
 LEAD_FRAMES = 108
 EARLY, REVISED, FINAL = ("early", 54), ("revised", 81), ("final", 144)
+DENT = nothing(2.0)
+DENT[:, 1:7, 1:6] = 20.0
 
 
 class Bench:
@@ -140,6 +141,7 @@ def test_a_prediction_has_every_field_a_listener_needs() -> None:
             id="overtaken",
         ),
         pytest.param([pat(3.0)], [EARLY, REVISED, FINAL], id="a pat and its lift-offs"),
+        pytest.param([palm(0.5, 200.0), DENT], [EARLY, ("released", 29 + 13)], id="what a hand left"),
     ],
 )
 def test_every_answer_is_to_the_touchs_own_frames(
@@ -151,16 +153,6 @@ def test_every_answer_is_to_the_touchs_own_frames(
     bench.check_windows(*(frames for _, frames in expected))
     for end in ended(events):
         assert (end.frames + 13, end.gesture) == (expected[-1][1], "stroke")
-
-
-def test_what_a_hand_left_is_not_taken_out_of_its_touch() -> None:
-    dent = nothing(2.0)
-    dent[:, 1:7, 1:6] = 20.0
-    bench = Bench()
-    events = bench.feel(palm(0.5, 200.0, trembling=False), dent)
-    stage, frames = answered(events)[-1]
-    assert stage == "released"
-    bench.check_windows(frames)
 
 
 def test_a_hand_that_has_left_is_answered_at_once() -> None:
@@ -182,7 +174,8 @@ def test_an_unsure_answer_to_a_hand_that_has_left_waits_for_half_a_second() -> N
 def test_an_answer_too_unsure_for_an_ended_touch_waits_for_its_end() -> None:
     bench = Bench(decision=DecisionSettings(speak_above=0.97, final_above=0.96))
     assert predictions(bench.feel(palm(0.5), nothing(0.7))) == []
-    assert told(bench.feel(nothing(0.5))) == [("uncertain", "uncertain")]
+    (answer,) = predictions(bench.feel(nothing(0.5)))
+    assert (answer.gesture, answer.told, answer.perhaps) == ("uncertain", True, "stroke")
 
 
 def test_a_hand_that_comes_back_goes_on_with_its_touch() -> None:
@@ -216,17 +209,17 @@ def test_without_a_touch_the_model_gets_no_frames() -> None:
     assert bench.model.asked == bench.model.stepped == []
 
 
-def test_one_frame_is_left_for_the_model_at_a_mark() -> None:
+@pytest.mark.parametrize(
+    ("scans", "answered_at"), [([palm(4.0)], [54, 81, 144]), ([palm(0.5), nothing(14 / 54)], [27 + 13])]
+)
+def test_the_model_has_all_but_one_frame_when_an_answer_is_due(
+    scans: list[Scans], answered_at: list[int]
+) -> None:
     bench = Bench()
-    bench.feel(palm(4.0), nothing(2.0))
-    lengths = [len(window) for window in bench.model.stepped]
-    assert lengths == sorted({*range(9, 145, 9), 53, 80, 143})
-
-
-def test_one_frame_is_left_for_the_model_once_a_hand_has_left() -> None:
-    bench = Bench()
-    bench.feel(palm(0.5), nothing(14 / 54))
-    assert [len(window) for window in bench.model.stepped] == [9, 18, 27, 36, 39, 40]
+    bench.feel(*scans)
+    lengths = [0, *(len(window) for window in bench.model.stepped)]
+    assert [lengths[lengths.index(at) - 1] for at in answered_at] == [at - 1 for at in answered_at]
+    assert max(after - before for before, after in pairwise(lengths)) == 9
 
 
 PERIOD_S, READ_S = 1 / 54, 0.0186
@@ -288,41 +281,6 @@ def test_frames_are_read_one_by_one_only_where_an_answer_may_be_due() -> None:
     assert bench.pipeline.frames_together == 1
 
 
-def test_pads_touched_at_once_are_answered_as_each_alone() -> None:
-    model, alone, emitted = Scripted(), Bench(), list[Event]()
-    pads = [
-        Pipeline(PipelineSettings(), model, emitted.append, STOPPED, pad=name, detector=PressureDetector())
-        for name in "abc"
-    ]
-    spoken = alone.feel(palm(3.5))
-    for number, counts in enumerate(alone.sent):
-        for pad in pads:
-            pad.on_frame(Frame(round(number * 1000 / 54), 99.998, counts))
-    for name in "abc":
-        assert [
-            msgspec.structs.replace(event, pad=DEFAULT_PAD) for event in emitted if event.pad == name
-        ] == spoken
-
-
-def test_viewers_see_every_third_frame_until_the_final_answer() -> None:
-    shown, emitted, pad = list[LivePrediction](), list[Event](), MadePad()
-    scene = DecisionSettings(gestures=("pat", "stroke"))
-    pipeline = Pipeline(
-        PipelineSettings(decision=scene),
-        Scripted(),
-        emitted.append,
-        STOPPED,
-        viewers=lambda: [shown.append],
-        detector=PressureDetector(),
-    )
-    for number, counts in enumerate(pad.counts(np.concatenate([nothing(2.0), palm(4.0)]))):
-        pipeline.on_frame(Frame(round(number * 1000 / 54), 99.998, counts))
-    assert [live.frames for live in shown] == list(range(3, 145, 3))
-    weighed = dict.fromkeys(LABELS, 0.0) | {"stroke": 0.9792, "pat": 0.0104, NO_TOUCH: 0.0104}
-    assert shown[0] == LivePrediction(touch=1, frames=3, probabilities=weighed)
-    assert answered(emitted) == [EARLY, REVISED, FINAL]
-
-
 class WithoutNoTouch(Scripted):
     """A model that was not trained on untouched pads."""
 
@@ -339,22 +297,27 @@ def test_a_model_without_notouch_names_touches_and_is_not_asked_at_rest() -> Non
     assert told(bench.feel(palm(3.5), nothing(2.0))) == [("early", "stroke")]
 
 
-def test_viewers_get_the_models_own_probabilities(classifier: Classifier) -> None:
-    shown: list[LivePrediction] = []
-    pad, emitted = MadePad(), list[Event]()
-    pipeline = Pipeline(
-        PipelineSettings(), classifier, emitted.append, STOPPED, viewers=lambda: [shown.append]
+def test_viewers_see_the_models_answer_to_every_third_frame(classifier: Classifier) -> None:
+    shown, emitted, scene = (
+        list[LivePrediction](),
+        list[Event](),
+        DecisionSettings(gestures=("pat", "stroke")),
     )
-    counts = list(pad.counts(np.concatenate([nothing(2.0), pat(3.0), nothing(1.0)])))
+    pipeline = Pipeline(
+        PipelineSettings(decision=scene), classifier, emitted.append, STOPPED, viewers=lambda: [shown.append]
+    )
+    counts = MadePad().counts(np.concatenate([nothing(2.0), pat(3.0), nothing(1.0)]))
     clock_ms = ideal_clock_ms(len(counts))
-    play(Stream(np.stack(counts), clock_ms, ()), lambda _: pipeline)
-    begins = next(event.sensor_ms for event in emitted if isinstance(event, TouchBegan))
-    first = clock_ms.tolist().index(begins)
-    assert [prediction.frames for prediction in shown[-5:]] == [132, 135, 138, 141, 144]
-    for prediction in shown[::7]:
-        window = np.stack(counts[first : first + prediction.frames])
-        expected = dict(zip(classifier.labels, classifier.probabilities(window).tolist(), strict=True))
-        assert prediction.probabilities == pytest.approx(expected, abs=1e-4)
+    play(Stream(counts, clock_ms, ()), lambda _: pipeline)
+    assert answered(emitted)[:3] == [EARLY, REVISED, FINAL]
+    began = next(event for event in emitted if isinstance(event, TouchBegan))
+    first = clock_ms.tolist().index(began.sensor_ms)
+    assert [live.frames for live in shown] == list(range(3, 145, 3))
+    for live in shown[::7]:
+        said = classifier.probabilities(counts[first : first + live.frames])
+        weighed = Decision(scene, classifier.labels).weigh(said)
+        assert live == LivePrediction(touch=1, frames=live.frames, probabilities=live.probabilities)
+        assert live.probabilities == pytest.approx(weighed, abs=1e-4)
 
 
 def test_a_recording_gets_its_answers_on_a_slow_computer(
@@ -389,47 +352,35 @@ def test_touches_are_named_wherever_the_pad_rests(classifier: Classifier) -> Non
     assert finals(40) == finals(300) == ["stroke", "rub", "scratch", "pat"]
 
 
-def when_sure(
-    gesture: Callable[[int], str] = lambda frames: "stroke", confidence: float = 0.94, **scene: Any
-) -> list[Prediction]:
-    """Return the answers to three seconds of palm; gesture: the most probable one at each length."""
+class Growing(Scripted):
+    """Sure of a stroke, as much as `confidence`, once it has got `sure_from` frames."""
 
-    class Growing(Scripted):
-        def answer(self) -> NDArray[np.float64]:
-            leader = gesture(len(self.stepped[-1]))
-            rest = (1 - confidence) / 6
-            return np.array([confidence if label == leader else rest for label in LABELS])
+    def __init__(self, sure_from: int, confidence: float) -> None:
+        super().__init__()
+        self._sure_from, self._confidence = sure_from, confidence
 
-    decision = DecisionSettings(early="when_sure", **scene)
-    return predictions(Bench(Growing(), decision=decision).feel(palm(3.0)))
-
-
-def test_a_sure_answer_comes_before_its_mark() -> None:
-    answers = when_sure()
-    assert answered(answers) == [("early", 17), REVISED, FINAL]
-    assert [answer.told for answer in answers] == [True, False, False]
-    assert answers[0].elapsed_s == pytest.approx(17 / 54, abs=1e-3)
-
-
-def test_an_answer_may_become_sure_at_any_frame() -> None:
-    for at in (17, 23, 41, 53):
-        answers = when_sure(lambda frames, at=at: "stroke" if frames >= at else "notouch")
-        assert answered(answers)[0] == ("early", at)
+    def answer(self) -> NDArray[np.float64]:
+        leader = "stroke" if len(self.stepped[-1]) >= self._sure_from else NO_TOUCH
+        rest = (1 - self._confidence) / 6
+        return np.array([self._confidence if label == leader else rest for label in LABELS])
 
 
 @pytest.mark.parametrize(
-    "unsure", [{"confidence": 0.6}, {"speak_above": 0.95}], ids=["never sure", "too unsure to tell"]
+    ("sure_from", "confidence", "speak_above", "early_at"),
+    [
+        *((sure_from, 0.94, 0.65, max(17, sure_from)) for sure_from in (1, 17, 23, 41, 53)),
+        pytest.param(1, 0.6, 0.65, 54, id="never sure"),
+        pytest.param(1, 0.94, 0.95, 54, id="too unsure to tell"),
+    ],
 )
-def test_an_unsure_answer_comes_at_its_mark(unsure: dict[str, float]) -> None:
-    assert answered(when_sure(**unsure)) == [EARLY, REVISED, FINAL]
-
-
-def test_a_touch_that_is_none_of_the_scenes_gestures_is_told_as_other() -> None:
-    knows = Scripted(lambda asked: "other", (*LABELS, "other"))
-    bench = Bench(knows, decision=DecisionSettings(gestures=("pat", "stroke")))
-    events = bench.feel(palm(1.2), nothing(2.0))
-    assert told(events) == [("early", "other")]
-    assert [event.gesture for event in events if isinstance(event, TouchEnded)] == ["other"]
+def test_a_sure_answer_comes_before_its_mark(
+    sure_from: int, confidence: float, speak_above: float, early_at: int
+) -> None:
+    scene = DecisionSettings(early="when_sure", speak_above=speak_above)
+    answers = predictions(Bench(Growing(sure_from, confidence), decision=scene).feel(palm(3.0)))
+    assert answered(answers) == [("early", early_at), REVISED, FINAL]
+    assert [answer.told for answer in answers][:2] == [confidence >= speak_above, False]
+    assert answers[0].elapsed_s == pytest.approx(early_at / 54, abs=1e-3)
 
 
 def test_a_lasting_change_of_gesture_is_told() -> None:
@@ -526,31 +477,22 @@ def test_a_lasting_unsure_touch_is_uncertain_once(sure_after: int, said: list[st
     assert [end.gesture for end in ended(events)] == said[-1:]
 
 
-def test_a_short_unsure_touch_tells_the_robot_uncertain() -> None:
-    bench = Bench(decision=DecisionSettings(speak_above=0.95, final_above=0.95))
-    events = bench.feel(palm(0.6), nothing(2.0))
-    assert told(events) == [("uncertain", "uncertain")]
-    assert [answer.perhaps for answer in predictions(events)] == ["stroke"]
-
-
-def test_bridged_frames_mark_the_touch_degraded() -> None:
-    bench = Bench()
-    events = bench.feel(palm(3.0), nothing(2.0), skip=[60, 61])
+@pytest.mark.parametrize(
+    ("scans", "lost", "degraded"),
+    [
+        pytest.param(palm(3.0), [60, 61], [False, True, True], id="between two answers"),
+        pytest.param(palm(3.0), [1], [True, True, True], id="before the onset"),
+        pytest.param(palm(4.0), range(140, 147), [False, False, True], id="when an answer is due"),
+    ],
+)
+def test_lost_frames_mark_the_touchs_later_answers_degraded(
+    scans: Scans, lost: Sequence[int], degraded: list[bool]
+) -> None:
+    bench = Bench(detector=Detector.load(), touch=TouchSettings(quiet_s=0.1))
+    events = bench.feel(scans, nothing(2.0), skip=lost)
     assert answered(events) == [EARLY, REVISED, FINAL]
-    assert [event.degraded for event in predictions(events)] == [False, True, True]
+    assert [event.degraded for event in predictions(events)] == degraded
     assert not any(event.degraded for event in predictions(bench.feel(palm(3.0))))
-
-
-def test_a_frame_missing_before_the_onset_degrades_the_touch() -> None:
-    (early,) = predictions(Bench().feel(palm(1.0, counts=6.0), skip=[2]))
-    assert early.degraded
-
-
-def test_an_answer_due_in_a_bridged_gap_is_not_lost() -> None:
-    bench = Bench(touch=TouchSettings(quiet_s=0.1))
-    events = bench.feel(palm(4.0), skip=range(140, 147))
-    assert answered(events) == [EARLY, REVISED, FINAL]
-    assert [event.degraded for event in predictions(events)] == [False, False, True]
 
 
 def test_touches_after_a_reset_of_the_board_are_told() -> None:
@@ -566,30 +508,6 @@ def test_touches_after_a_reset_of_the_board_are_told() -> None:
             pipeline.on_frame(Frame(round(1000 * (clock_s + number / 54)), host_s, counts))
     assert [end.gesture for end in ended(emitted)] == ["stroke", "stroke"]
     assert max(answer.age_ms for answer in predictions(emitted)) < 1000.0
-
-
-@pytest.mark.parametrize(
-    ("quiet_s", "hand_s", "pause_s", "frames"),
-    [
-        *((quiet_s, 0.8, 0.9, 43) for quiet_s in (0.1, 0.8)),
-        (2.0, 0.4, 1.8, round(54 * (4 * 0.4 + 3 * 1.8))),
-    ],
-)
-def test_only_pauses_longer_than_the_quiet_time_separate_touches(
-    classifier: Classifier, quiet_s: float, hand_s: float, pause_s: float, frames: int
-) -> None:
-    bench = Bench(classifier, touch=TouchSettings(quiet_s=quiet_s))
-    events = bench.feel(*[palm(hand_s, 60.0), nothing(pause_s)] * 4, nothing(quiet_s))
-    for end in ended(events):
-        assert (abs(end.frames - frames) <= 4, end.reason) == (True, "released")
-    assert len(ended(events)) == (1 if pause_s < quiet_s else 4)
-
-
-def test_a_still_load_that_slowly_fades_is_released(classifier: Classifier) -> None:
-    bench = Bench(classifier)
-    gives_way = palm(9.0, 60.0, trembling=False) * np.exp(-np.arange(9 * 54) / (5 * 54))[:, None, None]
-    events = bench.feel(palm(1.0, 60.0), gives_way.astype(np.float32), nothing(3.0))
-    assert [end.reason for end in ended(events)] == ["released"]
 
 
 def test_a_gap_too_long_to_bridge_ends_the_touch() -> None:
@@ -611,22 +529,30 @@ def test_losing_the_sensor_ends_its_touch_first() -> None:
     assert down == SensorEvent(state="down", reason="unplugged", time=TIME)
 
 
-def test_a_returning_sensor_is_calibrated_again() -> None:
+@pytest.mark.parametrize(("clock_ms", "away_s"), [(60_000, 0.0), (0, 60.0)])
+def test_a_returning_pad_is_calibrated_and_answered_again(clock_ms: int, away_s: float) -> None:
     bench = Bench()
     bench.pipeline.on_sensor_state(SensorState("down", "unplugged"))
     bench.pipeline.on_sensor_state(SensorState("up", ""))
     bench.pad.rest += 30
-    bench.clock_ms += 60_000
+    bench.clock_ms += clock_ms
+    bench.now_s += away_s
     assert bench.feel(nothing(2.0)) == []
-    assert isinstance(bench.feel(palm(0.5))[0], TouchBegan)
+    assert told(bench.feel(palm(3.5), nothing(2.0))) == [("early", "stroke")]
 
 
-def test_a_pad_that_lost_its_supply_for_a_minute_is_answered_again() -> None:
-    bench = Bench()
-    bench.pipeline.on_sensor_state(SensorState("down", "unplugged"))
-    bench.pipeline.on_sensor_state(SensorState("up", ""))
-    bench.now_s += 60.0
-    assert told(bench.feel(nothing(2.0), palm(3.5), nothing(2.0)))
+@pytest.mark.parametrize("jump_ms", [-900, 100, 60_000])
+def test_what_a_pad_sent_before_it_went_has_no_part_in_later_touches(jump_ms: int) -> None:
+    def begins_after_ms(jump_ms: int) -> float:
+        bench = Bench(detector=Detector.load())
+        bench.feel(palm(2.0, 300.0))
+        bench.pipeline.on_sensor_state(SensorState("down", "unplugged"))
+        bench.pipeline.on_sensor_state(SensorState("up", ""))
+        bench.clock_ms = back_ms = round(bench.clock_ms) + jump_ms
+        events = bench.feel(nothing(0.3), palm(1.5), nothing(1.5))
+        return [event.sensor_ms - back_ms for event in events if isinstance(event, TouchBegan)][-1]
+
+    assert begins_after_ms(jump_ms) == pytest.approx(begins_after_ms(5000), abs=1)
 
 
 @pytest.mark.parametrize(("late_s", "is_told"), [(2.9, True), (3.3, False), (5.0, False)])
