@@ -40,18 +40,13 @@ class Frame(msgspec.Struct, frozen=True, eq=False):
     pressure: Counts
 
 
-# Signs of a restart with fewer frames between them are one: register dump, boot log, the clock's step back.
-ONE_RESTART_FRAMES = 54
-
-
 @dataclass
 class ProtocolCounts:
     """What a parser delivered and refused since it was made.
 
     frames: delivered. damaged: about how many frames the refused bytes were. bad_time: frames refused because
     they disagree with the pad's clock. duplicates: frames that repeat a clock already taken. clipped: frames
-    delivered whose values above full scale were cut to it. restarts: of the board; the last began at frame
-    restarted_at.
+    delivered whose values above full scale were cut to it. restarts: of the board.
     """
 
     frames: int = 0
@@ -60,18 +55,11 @@ class ProtocolCounts:
     duplicates: int = 0
     clipped: int = 0
     restarts: int = 0
-    restarted_at: int = -ONE_RESTART_FRAMES
 
     @property
     def bad(self) -> int:
         """Frames refused as damaged, for whatever reason; a duplicate is not damage."""
         return self.damaged + self.bad_time
-
-    def restarted(self) -> None:
-        """Count a restart of the board, of which a sign was seen now."""
-        if self.frames - self.restarted_at >= ONE_RESTART_FRAMES:
-            self.restarts += 1
-            self.restarted_at = self.frames
 
 
 @dataclass(frozen=True)

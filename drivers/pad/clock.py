@@ -84,7 +84,7 @@ class PadClock:
         if is_back and first.host_s - since_s >= MAX_STEP_S:
             later_ms = max(1, round(1000 * (first.host_s - last.host_s)))
             self._ahead_ms += last.sensor_ms + later_ms - first.sensor_ms
-            self._counts.restarted()
+            self._counts.restarts += 1
 
     def _deliver(self, run: list[Frame]) -> list[Frame]:
         self._last = run[-1]

@@ -8,10 +8,6 @@ from touchd.drivers.pad.clock import PadClock
 from touchd.drivers.pad.format import PadFormat, Sent, layout_of
 from touchd.drivers.pad.text import TextFraming
 
-# What an ESP32 or ESP8266 prints when it crashes and starts.
-BOOT_LOG = (b"Guru Meditation", b"rst:0x", b"rst cause", b"Brownout detector", b"ESP-ROM:")
-LONGEST_MARK = max(map(len, BOOT_LOG))
-
 
 class FrameParser:
     """Parses what a pad sends: drops and counts damaged frames, never raises on them, keeps few bytes."""
@@ -23,7 +19,6 @@ class FrameParser:
         self._framing: TextFraming | BinaryFraming = framing(described, self.counts)
         self._layout = layout_of(described)
         self._clock = PadClock(self.counts, described.clock)
-        self._tail = b""
 
     @property
     def dates_frames(self) -> bool:
@@ -32,18 +27,12 @@ class FrameParser:
 
     def feed(self, data: bytes, host_s: float) -> list[Frame]:
         """Take bytes that arrived at `host_s` (monotonic seconds); return the frames they completed."""
-        latest = self._tail + data
-        self._tail = latest[1 - LONGEST_MARK :]
-        for mark in BOOT_LOG:
-            if mark in latest:
-                self.counts.restarted()
         frames = [frame for sent in self._framing.feed(data, host_s) for frame in self._frames(sent)]
         self.counts.frames += len(frames)
         return frames
 
     def reset(self) -> None:
         """Forget half a frame and the clock after a reconnect; counts go on."""
-        self._tail = b""
         self._framing.reset()
         self._clock.reset()
 

@@ -13,7 +13,6 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 from rigs.audit import Audit
 from rigs.made_pad import MadePad, nothing, palm, pat
 from rigs.scripted_model import Scripted
-from rigs.soak_line import CRASH
 from rigs.stub_robot import StubRobot
 
 from touchd.daemon.app.config import SensorSettings
@@ -91,9 +90,8 @@ class World(RuleBasedStateMachine):
     def taps_at_any_rhythm(self, tap_s: float, pause_s: float, times: int) -> None:
         self.feel(np.concatenate([palm(tap_s), nothing(pause_s)] * times))
 
-    @rule(is_told=st.booleans(), pause_s=st.floats(0.0, 1.9, allow_subnormal=False))
-    def the_board_restarts(self, is_told: bool, pause_s: float) -> None:
-        self.arrive(CRASH if is_told else b"")
+    @rule(pause_s=st.floats(0.0, 1.9, allow_subnormal=False))
+    def the_board_restarts(self, pause_s: float) -> None:
         self.now_s += pause_s
         self.sensor_ms = 7.0
 

@@ -55,9 +55,7 @@ def told_of(path: Path, classifier: Classifier) -> Told:
         frames = parser.feed(bytes.fromhex(data), at_s)
         listener.hear_all([(at_s, frame) for frame in frames], ends=False)
     told = listener.hear_all(())
-    refused = {
-        name: count for name, count in asdict(parser.counts).items() if count and name != "restarted_at"
-    }
+    refused = {name: count for name, count in asdict(parser.counts).items() if count}
     return [*told, {"type": "line", **refused}]
 
 
