@@ -1,6 +1,5 @@
 """What a pad sends and how it lies, described rather than programmed."""
 
-from functools import lru_cache
 from typing import Annotated, Literal, NamedTuple
 
 import msgspec
@@ -168,36 +167,22 @@ class Layout:
         scale = np.float32(MAX_COUNT / described.full_scale)
         self._rows = _resampling(described.rows, described.crop, ROWS)
         self._columns = _resampling(described.columns, described.crop, COLUMNS).T * scale
-        # Resampling would change nothing, and with cold caches it delays each answer.
-        self._is_plain = described.used == (ROWS, COLUMNS) and scale == 1
 
     def pressure(self, values: Values) -> Counts:
         """Turn values (cells,) from 0 to full_scale into pressure (8, 8) uint16, read-only."""
         described = self._format
-        cells, crop = values.reshape(described.rows, described.columns), described.crop
-        laid: NDArray[np.generic]
-        if self._is_plain:
-            laid = cells[crop : crop + ROWS, crop : crop + COLUMNS]
-        else:
-            # Two small products: one large matrix would leave the processor's caches from frame to frame.
-            laid = self._rows @ cells.astype(np.float32) @ self._columns
+        cells = values.reshape(described.rows, described.columns).astype(np.float32)
+        # Two small products: one large matrix would leave the processor's caches from frame to frame.
+        laid = self._rows @ cells @ self._columns
         if described.invert:
             laid = MAX_COUNT - laid
         if described.turn:
             laid = np.rot90(laid, -described.turn // 90)
         if described.mirror:
             laid = laid[:, ::-1]
-        if laid.dtype.kind == "f":
-            laid = np.rint(laid)
-        counts: Counts = np.asarray(laid, np.uint16, order="C")
+        counts: Counts = np.asarray(np.rint(laid), np.uint16, order="C")
         counts.flags.writeable = False
         return counts
-
-
-@lru_cache(maxsize=32)
-def layout_of(described: PadFormat) -> Layout:
-    """Return the layout of a format, cached."""
-    return Layout(described)
 
 
 def _resampling(side: int, crop: int, wanted: int) -> Grid:

@@ -5,7 +5,7 @@ import numpy as np
 from touchd.drivers.frame import Frame, ProtocolCounts
 from touchd.drivers.pad.binary import BinaryFraming
 from touchd.drivers.pad.clock import PadClock
-from touchd.drivers.pad.format import PadFormat, Sent, layout_of
+from touchd.drivers.pad.format import Layout, PadFormat, Sent
 from touchd.drivers.pad.text import TextFraming
 
 
@@ -17,7 +17,7 @@ class FrameParser:
         self.format = described
         framing = TextFraming if described.framing == "text" else BinaryFraming
         self._framing: TextFraming | BinaryFraming = framing(described, self.counts)
-        self._layout = layout_of(described)
+        self._layout = Layout(described)
         self._clock = PadClock(self.counts, described.clock)
 
     @property

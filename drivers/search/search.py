@@ -18,7 +18,7 @@ from msgspec.structs import replace
 from touchd.drivers.frame import MIN_RATE_HZ, Frame
 from touchd.drivers.pace import clock_by_ours
 from touchd.drivers.pad.binary import CLOCK_BYTES
-from touchd.drivers.pad.format import LONGEST_SIDE, PRESETS, SHORTEST_SIDE, PadFormat, layout_of
+from touchd.drivers.pad.format import LONGEST_SIDE, PRESETS, SHORTEST_SIDE, Layout, PadFormat
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.search import binary, text
 from touchd.drivers.search.listen import MOST_BYTES, Chunk, seconds_of
@@ -217,7 +217,7 @@ def _is_dated(described: PadFormat, chunks: Sequence[Chunk]) -> bool:
 def _unexplained(placed: Placement, described: PadFormat, chunks: Sequence[Chunk]) -> str:
     """Say what a description leaves unexplained when the daemon's own parser reads all that arrived."""
     parser, frames = _parsed(described, chunks)
-    read, layout = {frame.pressure.tobytes() for frame in frames}, layout_of(described)
+    read, layout = {frame.pressure.tobytes() for frame in frames}, Layout(described)
     # At first, a number that is taken for a clock may hold frames back.
     later = np.clip(placed.values[len(placed.values) // 2 :], 0, described.full_scale)
     if np.mean([layout.pressure(each).tobytes() in read for each in later]) < MOSTLY:

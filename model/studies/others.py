@@ -25,7 +25,7 @@ from touchd.daemon.path.events import UNCERTAIN, Event, Prediction
 from touchd.drivers.fakes.hand import Fabric
 from touchd.drivers.fakes.pointers import Pointer, PressingHands
 from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, NO_TOUCH, OTHER, ROWS, Counts
-from touchd.drivers.pad.format import PadFormat, layout_of
+from touchd.drivers.pad.format import Layout, PadFormat
 from touchd.drivers.recording import Recording, on_grid
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 from touchd.model.studies.checks.evaluate import Split, answer
@@ -270,7 +270,7 @@ def caress(lasts_s: float, seed: int) -> Counts:
 
 def firm_touches(folder: Path) -> Iterator[Counts]:
     """Yield the recordings of a firm, coarse pad whose touches are none of the gestures, on 8x8 and 54 Hz."""
-    layout = layout_of(PadFormat(framing="text", rows=19, columns=27))
+    layout = Layout(PadFormat(framing="text", rows=19, columns=27))
     path = find(folder, "streams.csv", "name its folder: --firm-pad")
     with gzip.open(path, "rt", newline="") if path.suffix == ".gz" else path.open(newline="") as file:
         _, *rows = csv.reader(file)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from touchd.drivers.pad.format import PadFormat, layout_of
+from touchd.drivers.pad.format import Layout, PadFormat
 from touchd.drivers.recording import Recording, on_grid
 from touchd.model.training.haart import find
 
@@ -34,7 +34,7 @@ def read(folder: Path, others: Collection[str] = ()) -> list[Recording]:
     first_cell = header.index("c1")
     at = [header.index(key) for key in KEYS]
     clock = header.index("ms")
-    layout = layout_of(PAD)
+    layout = Layout(PAD)
     recordings = []
     for (_, participant, substrate, own, seven), group in groupby(
         rows, lambda row: tuple(row[i] for i in at)

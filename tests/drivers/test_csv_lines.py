@@ -8,7 +8,7 @@ import pytest
 from rigs.formats import CsvLines, encode_csv_line
 from rigs.wire import PERIOD_MS, assert_are, counts_of, fed
 
-from touchd.drivers.pad.format import PRESETS, PadFormat, layout_of
+from touchd.drivers.pad.format import PRESETS, Layout, PadFormat
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.text import numbers_in
 
@@ -106,7 +106,7 @@ def test_numbers_are_read_whatever_stands_around_them(printed: str, skip: int) -
     frames = parser.feed(printed.encode() * 4, 0.0)
     # The first frame is dropped if it may be incomplete; a frame of several lines ends where the next begins.
     assert 2 <= len(frames) <= 4
-    expected = layout_of(described).pressure(np.array(CELLS, np.uint16))
+    expected = Layout(described).pressure(np.array(CELLS, np.uint16))
     for frame in frames:
         np.testing.assert_array_equal(frame.pressure, expected)
     assert parser.counts.bad == 0
@@ -124,9 +124,7 @@ def test_numbers_before_and_after_a_rows_cells_are_skipped() -> None:
     assert len(frames) == 2
     assert parser.counts.bad == 1
     for frame in frames:
-        np.testing.assert_array_equal(
-            frame.pressure, layout_of(described).pressure(np.array(CELLS, np.uint16))
-        )
+        np.testing.assert_array_equal(frame.pressure, Layout(described).pressure(np.array(CELLS, np.uint16)))
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from rigs.pressing import pressed
 
-from touchd.drivers.pad.format import PadFormat, layout_of
+from touchd.drivers.pad.format import Layout, PadFormat
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.search.listen import Chunk
 from touchd.drivers.search.search import Finding, search
@@ -139,7 +139,7 @@ def picture_of(printed: Printed, values: Cells) -> float:
     finding, chunks = found_in(lambda number: printed(values[number], number), values.shape[1:])
     assert finding.proposed is not None, finding.missing
     parser = FrameParser(finding.proposed)
-    layout = layout_of(PadFormat(framing="text", rows=values.shape[1], columns=values.shape[2]))
+    layout = Layout(PadFormat(framing="text", rows=values.shape[1], columns=values.shape[2]))
     read, true = [], []
     for chunk, frame in zip(chunks, values, strict=False):
         for reading in parser.feed(*chunk):

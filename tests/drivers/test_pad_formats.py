@@ -17,7 +17,7 @@ from rigs.wire import counts_of
 from touchd.drivers.fakes.encode import encode_frame, encode_values, values_of
 from touchd.drivers.frame import Frame
 from touchd.drivers.pad.binary import frame_bytes
-from touchd.drivers.pad.format import PRESETS, FormatError, Layout, PadFormat, layout_of
+from touchd.drivers.pad.format import PRESETS, FormatError, Layout, PadFormat
 from touchd.drivers.pad.parser import FrameParser
 
 MORE = {
@@ -45,7 +45,7 @@ FEW = settings(deadline=None, max_examples=20)
 @cache
 def laid(described: PadFormat, number: int) -> bytes:
     """Return the pressure of `counts_of(number)` as sent through this format's grid."""
-    layout = layout_of(described)
+    layout = Layout(described)
     return layout.pressure(values_of(described, counts_of(number)).ravel()).tobytes()
 
 
@@ -199,7 +199,7 @@ def test_two_cells_of_12_bits_lie_in_three_bytes(order: Literal["big", "little"]
     described = PadFormat(header="aaabac", cell="u12", order=order, rows=4, columns=4, full_scale=4095)
     (frame,) = FrameParser(described).feed(b"\xaa\xab\xac" + b"\xab\xcd\xef" * 8 + b"\xaa\xab\xac", 0.0)
     sent = np.tile(np.array(cells, np.uint16), 8)
-    np.testing.assert_array_equal(frame.pressure, layout_of(described).pressure(sent))
+    np.testing.assert_array_equal(frame.pressure, Layout(described).pressure(sent))
 
 
 @pytest.mark.parametrize("kind", ["values", "sum8", "xor8"])

@@ -14,7 +14,7 @@ from rigs.haart_folder import needs_third_study
 from rigs.pressing import chunks_of, pressed
 
 from touchd.drivers.fakes.encode import encode_values
-from touchd.drivers.pad.format import PRESETS, PadFormat, layout_of
+from touchd.drivers.pad.format import PRESETS, Layout, PadFormat
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.search.listen import Chunk, likelihood
 from touchd.drivers.search.search import Finding, as_yaml, search
@@ -111,7 +111,7 @@ def check_found_or_refused(described: PadFormat, seed: int) -> None:
     values = pressed(described.rows, described.columns, described.full_scale, np.random.default_rng(seed))
     values = described.full_scale - values if described.invert else values
     whole = values if described.cell == "f32" else np.floor(values)
-    sent = np.array([layout_of(described).pressure(frame.ravel()) for frame in whole], float)
+    sent = np.array([Layout(described).pressure(frame.ravel()) for frame in whole], float)
     parser = FrameParser(found)
     read = [frame.pressure for chunk in chunks_of(described, seed) for frame in parser.feed(*chunk)]
     share = np.corrcoef(np.array(read[-200:-1], float).ravel(), sent[-200:-1].ravel())[0, 1]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from touchd.drivers.pad.format import layout_of
+from touchd.drivers.pad.format import Layout
 from touchd.drivers.recording import Recording, on_grid
 from touchd.model.training import third_study
 from touchd.model.training.detector.pieces import Composer, SetUp, Streamed, set_ups
@@ -50,7 +50,7 @@ def composer(folders: Folders, settings: DetectorSettings) -> Composer:
 def uncut(folder: Path, left_out: Collection[str]) -> list[Streamed]:
     """Return the third study's uncut recordings of everybody else, on the 54 Hz grid."""
     path = find(folder, STREAMS, "name its folder: --third-study")
-    layout = layout_of(third_study.PAD)
+    layout = Layout(third_study.PAD)
     found = []
     with gzip.open(path, "rt", newline="") if path.suffix == ".gz" else path.open(newline="") as file:
         for (_, participant), group in groupby(
