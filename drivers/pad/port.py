@@ -1,10 +1,15 @@
-"""The port of a pad, serial or on the network: opening and reading it, and its errors in words."""
+"""The port of a pad: opening and reading it, and its errors in words.
+
+A port is a serial device; over TCP, touchd connects to the pad; over UDP, it listens for what the pad sends.
+"""
 
 import contextlib
 import errno
 import fcntl
 import os
+import re
 import select
+import socket
 import stat
 import termios
 from pathlib import Path
@@ -12,12 +17,14 @@ from typing import TypeAlias
 
 import serial
 
+from touchd.drivers import hosts
 from touchd.drivers.errors import TouchdError
-from touchd.drivers.pad.network import NetworkPort, address_of
 from touchd.drivers.pad.parser import FrameParser
 
 READ_TIMEOUT_S = 0.1
 READ_BYTES = 65536
+CONNECT_S = 3.0
+ADDRESS = re.compile(r"(tcp|udp)://(\[[^\s\]]+\]|[^\s/:?]+)(?::(\d{0,5}))?")
 DEV = Path("/dev")
 # What an error number means for a port: the kind of fault, and words that follow the port's name.
 FAULTS = {
@@ -41,8 +48,6 @@ FAULTS = {
     ),
     errno.ENOTTY: ("unusable", "is not a serial port: name a device like /dev/ttyACM0"),
 }
-
-Line: TypeAlias = serial.Serial | NetworkPort
 
 
 class SensorError(TouchdError):
@@ -79,6 +84,68 @@ def at_baud(port: str, baud: int) -> str:
     return "" if "://" in port else f" at {baud} baud"
 
 
+def address_of(port: str) -> tuple[str, str, int]:
+    """Return "tcp" or "udp", host and number of a pad's address on the network; raises ValueError."""
+    match = ADDRESS.fullmatch(port.strip())
+    if match is not None and not match[3]:
+        raise ValueError(f"lacks its port; write it as in {port.strip().rstrip(':')}:4000")
+    if match is None or int(match[3]) > 65535:
+        raise ValueError("not an address such as tcp://192.168.1.20:4000 or udp://0.0.0.0:4000")
+    return match[1], match[2].strip("[]"), int(match[3])
+
+
+class NetworkPort:
+    """A pad on the network, read as a serial port is; raises OSError."""
+
+    baudrate = 0
+
+    def __init__(self, port: str) -> None:
+        protocol, host, number = address_of(port)
+        self.port = port
+        self.is_stream = protocol == "tcp"
+        if self.is_stream:
+            self._socket = hosts.connect(host, number, CONNECT_S)
+        else:
+            self._socket = socket.socket(
+                socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_DGRAM
+            )
+            try:
+                self._socket.bind((host, number))
+            except OSError:
+                self._socket.close()
+                raise
+        self._socket.settimeout(READ_TIMEOUT_S)
+
+    def read(self, *, is_text: bool) -> bytes:
+        """Return what has arrived, waiting for it at most the timeout; over UDP, one datagram.
+
+        is_text: whether the pad sends lines. A datagram ends its last line, and a frame of several lines.
+        """
+        try:
+            data = self._socket.recv(READ_BYTES)
+        except TimeoutError:
+            return b""
+        if self.is_stream and not data:
+            raise ConnectionResetError(errno.ECONNRESET, "closed")
+        lines = data.rstrip(b"\r\n")
+        if self.is_stream or not is_text or not lines.strip():
+            return data
+        return lines + (b"\n\n" if b"\n" in lines or b"\r" in lines else b"\n")
+
+    def reset_input_buffer(self) -> None:
+        while select.select([self._socket], [], [], 0)[0] and self._socket.recv(READ_BYTES):
+            pass
+
+    def __enter__(self) -> "NetworkPort":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._socket.close()
+
+
+Line: TypeAlias = serial.Serial | NetworkPort
+
+
 def check_port(port: str, baud: int) -> None:
     """Raise SensorError if `port` is unusable, as far as can be seen.
 
@@ -100,7 +167,7 @@ def open_port(port: str, baud: int) -> Line:
     """Open `port` for this program alone; raise SensorError when that fails."""
     try:
         if "://" in port:
-            return NetworkPort(port, *address_of(port), READ_TIMEOUT_S)
+            return NetworkPort(port)
         opened = serial.Serial(port, baud, timeout=READ_TIMEOUT_S, exclusive=True)
     except (OSError, ValueError, termios.error) as error:
         raise sensor_error(port, error) from error

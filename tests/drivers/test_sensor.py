@@ -244,7 +244,7 @@ def test_a_port_that_another_program_reconfigured_is_restored() -> None:
 
 
 def test_a_reader_stopped_during_a_lookup_reports_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("touchd.drivers.pad.network.CONNECT_S", 0.3)
+    monkeypatch.setattr("touchd.drivers.pad.port.CONNECT_S", 0.3)
     with socket.create_server(("127.0.0.1", 0), backlog=0) as deaf, ExitStack() as waiting:
         # A full backlog: further connections are neither taken nor refused, as by a board that is off.
         for _ in range(3):
