@@ -222,65 +222,6 @@ def test_the_model_has_all_but_one_frame_when_an_answer_is_due(
     assert max(after - before for before, after in pairwise(lengths)) == 9
 
 
-PERIOD_S, READ_S = 1 / 54, 0.0186
-
-
-def read_as_it_comes(scans: Counts, *, together: bool, **settings: Any) -> list[tuple[Event, float]]:
-    """Return the events of a pad at 54 Hz, each with how long after its frame's arrival it came, in s.
-
-    together: whether frames are read as many at once as the pipeline allows; otherwise one by one.
-    """
-    now_s, read_s, late = 0.0, 0.0, list[tuple[Event, float]]()
-
-    def emit(event: Event) -> None:
-        late.append((event, read_s - now_s))
-
-    pipeline = Pipeline(PipelineSettings(**settings), Scripted(), emit, STOPPED, detector=PressureDetector())
-    rests_until_s = 0.0
-    for number, counts in enumerate(scans):
-        now_s = number * PERIOD_S
-        if now_s >= rests_until_s:
-            # All that has arrived is read here, and the rest begins.
-            read_s = now_s
-            several = pipeline.frames_together if together else 1
-            rests_until_s = now_s + (READ_S * several if several > 1 else 0.0)
-        else:
-            read_s = rests_until_s
-        pipeline.on_frame(Frame(round(1000 * now_s), 99.998, counts))
-    return late
-
-
-@pytest.mark.parametrize(
-    ("pressures", "settings"),
-    [
-        ([palm(3.5), nothing(2.0)], {}),
-        ([palm(0.4), nothing(3.0), palm(0.1), nothing(3.0)], {}),
-        ([pat(2.0), nothing(4.0), palm(6.0)], {}),
-        ([palm(2.0), nothing(2.0)], {"decision": DecisionSettings(early="when_sure")}),
-    ],
-    ids=["a touch", "short touches", "pats", "when sure"],
-)
-def test_events_do_not_depend_on_how_many_frames_come_at_once(
-    pressures: list[Scans], settings: dict[str, Any]
-) -> None:
-    scans = MadePad().counts(np.concatenate([nothing(12.0), *pressures]))
-    one_by_one, at_once = (read_as_it_comes(scans, together=each, **settings) for each in (False, True))
-    assert [event for event, _ in at_once] == [event for event, _ in one_by_one]
-    assert any(isinstance(event, TouchBegan) for event, _ in at_once)
-    for event, late_s in at_once:
-        assert late_s <= (2 * PERIOD_S if isinstance(event, Prediction) else 0.06), event
-
-
-def test_frames_are_read_one_by_one_only_where_an_answer_may_be_due() -> None:
-    bench = Bench()
-    bench.feel(nothing(10.0))
-    assert bench.pipeline.frames_together == 3
-    bench.feel(palm(0.5))
-    assert bench.pipeline.frames_together == 3
-    bench.feel(palm(0.47))
-    assert bench.pipeline.frames_together == 1
-
-
 class WithoutNoTouch(Scripted):
     """A model that was not trained on untouched pads."""
 
