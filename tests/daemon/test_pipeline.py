@@ -18,10 +18,12 @@ from rigs.scripted_model import LABELS, PressureDetector, Scripted
 from touchd.daemon.path.decide import Decision, DecisionSettings
 from touchd.daemon.path.events import Event, LivePrediction, Prediction, SensorEvent, TouchBegan, TouchEnded
 from touchd.daemon.path.pipeline import Clock, Pipeline, PipelineSettings
+from touchd.daemon.path.staleness import Staleness
 from touchd.daemon.path.tracker import TouchSettings
 from touchd.daemon.playback import stream as stream_module
 from touchd.daemon.playback.stream import play
 from touchd.drivers.frame import MAX_COUNT, NO_TOUCH, Counts, Frame, SensorState
+from touchd.drivers.pad.grid import GridFrame
 from touchd.drivers.recording import Stream, ideal_clock_ms, read_recordings, splice
 from touchd.model.classifier import Classifier, ModelState
 from touchd.model.detector import Detector
@@ -512,6 +514,27 @@ def test_a_revision_that_comes_too_late_is_not_told(late_s: float, is_told: bool
     assert told(late) == ([("revised", "rub")] if is_told else [])
     # Its newest frame is the sixteenth of those that came together.
     assert predictions(late)[0].age_ms == pytest.approx(1000 * late_s - 16 * 1000 / 54, abs=2)
+
+
+@pytest.mark.parametrize(
+    ("lags_s", "age_s"),
+    [
+        pytest.param([0.1] * 54, 0.0, id="in time"),
+        pytest.param([*[0.1] * 54, 3.1], 3.0, id="held up"),
+        pytest.param([0.6, *[0.1] * 54, 3.1], 3.0, id="held up, after a late beginning"),
+        pytest.param(np.linspace(0.0, 5.0, 5400), 0.0, id="by a slow clock"),
+        pytest.param(np.linspace(5.0, 0.0, 5400), 0.0, id="by a fast clock"),
+        pytest.param([*[0.1] * 54, *[1.1] * 1350], 0.5, id="late for half a minute"),
+        pytest.param([*[0.1] * 54, *[1.1] * 2800], 0.0, id="late for a minute"),
+    ],
+)
+def test_a_frame_is_as_old_as_it_was_held_up(lags_s: Sequence[float], age_s: float) -> None:
+    staleness = Staleness()
+    for number, lag_s in enumerate(lags_s):
+        sent_s = number / 54
+        frame = GridFrame(number, 1000 * sent_s, sent_s + lag_s, np.zeros((8, 8), np.float32), False, False)
+        staleness.update(frame)
+    assert staleness.age_s(frame, frame.host_s) == pytest.approx(age_s, abs=0.01)
 
 
 def test_the_end_of_the_stream_ends_the_touch_once() -> None:
