@@ -22,7 +22,7 @@ from touchd.daemon.app.config import Settings, load
 from touchd.drivers.installed import how_to_install
 
 ROOT = Path(__file__).parents[2]
-NOT_INSTALLED = tuple(ROOT / "model" / name for name in ("training", "studies", "detector"))
+NOT_INSTALLED = tuple(ROOT / "model" / name for name in ("training", "studies"))
 PACKAGES = [
     path
     for floor in ("daemon", "drivers", "model")
