@@ -26,7 +26,6 @@ STUDIES = {
     "adapting": ("studies.adapting", "adapt.md: what adapting to a person gains and costs"),
     "new_pad": ("studies.new_pad", "adapt.md: what recording on another kind of pad gains"),
     "others": ("studies.others", "touches that are none of the gestures, and slow caresses"),
-    "teaching": ("studies.teaching", "what teaching gains for touches in passing"),
     "streams": ("studies.sessions.streams", "sessions.md: the same of another kind of pad"),
     "passing": (
         "studies.sessions.passing",
