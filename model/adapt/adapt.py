@@ -52,6 +52,15 @@ class Pretrained:
         remembered = Remembered.load(SHIPPED_MODEL.with_suffix(".npz"))
         return cls.of(SHIPPED_MODEL, stored["network"], remembered)
 
+    def shown(self, recordings: Sequence[Recording], settings: AdaptSettings) -> CropFeatures:
+        """Return what a head learns from of the recordings."""
+        return crops(self.backbone, recordings, self.augmentation, settings.crops, settings.seed)
+
+    def rehearsed(self, labels: Sequence[str], recorded: Collection[str], seed: int) -> CropFeatures:
+        """Draw what stands for other people; `other` more often if it is not among what was recorded."""
+        more = [] if OTHER in recorded else [OTHER] * MORE_OTHER
+        return self.remembered.samples([*labels, *more], seed)
+
 
 @dataclass(frozen=True, eq=False)
 class Adapted:
@@ -83,8 +92,8 @@ def adapt(
     labels = tuple(sorted(recorded | {NO_TOUCH} | kept))
     begin = rebuilt(pretrained.head, known, labels)
     new = sorted(set(labels) - set(known))
-    rehearsed = rehearsal(pretrained.remembered, labels, recorded, settings.seed)
-    shown = crops(pretrained.backbone, recordings, pretrained.augmentation, settings.crops, settings.seed)
+    rehearsed = pretrained.rehearsed(labels, recorded, settings.seed)
+    shown = pretrained.shown(recordings, settings)
     left_out, folds = plan(recordings)
     trained = [*(fold.trained for fold in folds), tuple(range(len(recordings)))]
     bar = tqdm(trained, desc="adapting", bar_format=BAR, leave=False, disable=None)
@@ -95,14 +104,6 @@ def adapt(
         for frames, own in windows(pretrained.backbone, recordings).items()
     }
     return Adapted(known, labels, tuple(recordings), head, compare(scored, known, left_out))
-
-
-def rehearsal(
-    remembered: Remembered, labels: Sequence[str], recorded: Collection[str], seed: int
-) -> CropFeatures:
-    """Draw what stands for other people; `other` more often if it is not among what was recorded."""
-    more = [] if OTHER in recorded else [OTHER] * MORE_OTHER
-    return remembered.samples([*labels, *more], seed)
 
 
 def _scored(

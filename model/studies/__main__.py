@@ -13,8 +13,8 @@ STUDIES = {
     "data": ("studies.making:data", "downloads the HAART recordings, or checks a folder"),
     "train": ("studies.making:train", "trains the networks of a recipe"),
     "export": ("studies.making:export", "calibrates them and writes them as ONNX files"),
-    "detector": ("studies.detection.train", "trains and exports the detectors"),
-    "detection": ("studies.detection.compare", "how well the detectors find touches"),
+    "detector": ("studies.making:detector", "trains and exports the detectors"),
+    "detection": ("studies.tables:detection", "sessions.md: how well the detectors find touches"),
     "evaluate": ("studies.making:evaluate", "scores the shipped model beside the paper's figures"),
     "stability": ("studies.making:stability", "checks a model's arithmetic on hard cases"),
     "accuracy": ("studies.accuracy", "accuracy.md: the stored scores as tables and figures"),
@@ -26,13 +26,11 @@ STUDIES = {
     "adapting": ("studies.adapting", "adapt.md: what adapting to a person gains and costs"),
     "new_pad": ("studies.new_pad", "adapt.md: what recording on another kind of pad gains"),
     "others": ("studies.others", "touches that are none of the gestures, and slow caresses"),
-    "streams": ("studies.sessions.streams", "sessions.md: the same of another kind of pad"),
     "passing": (
         "studies.sessions.passing",
         "sessions.md: touches of a second or less, and hands that change",
     ),
-    "tables": ("studies.tables", "every figure of detection and of what is said in use, in one file"),
-    "sessions": ("studies.sessions.report", "sessions.md: what the robot is told of a pad in use"),
+    "tables": ("studies.tables", "sessions.md: all of detection and of what is said in use, in one file"),
 }
 
 

@@ -13,12 +13,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from touchd.drivers.frame import FRAME_RATE_HZ, OTHER
-from touchd.model.classifier import SHIPPED_MODEL
 from touchd.model.settings import LENGTHS
 from touchd.model.studies.checks.evaluate import SCENE, Evaluation, Score
 from touchd.model.studies.checks.scores import Scores, read_scores
 from touchd.model.studies.folders import study_parser
-from touchd.model.studies.marked import fill, table
+from touchd.model.studies.marked import fill, percent, table
 from touchd.model.studies.published import TABLE3
 from touchd.model.training.weights import SCORES_NAME
 
@@ -43,9 +42,7 @@ LABEL_GAP = 1.7
 
 def main(arguments: Sequence[str]) -> int:
     """Fill the page's tables and draw its figures; returns 0."""
-    parser = study_parser("accuracy", __doc__, "docs")
-    parser.add_argument("--weights", type=Path, default=SHIPPED_MODEL.parent, help="folder of scores.json")
-    options = parser.parse_args(arguments)
+    options = study_parser("accuracy", __doc__, "docs", "weights").parse_args(arguments)
     scores = read_scores(options.weights / SCORES_NAME)
     fill(options.docs / "accuracy.md", tables(scores))
     figures = options.docs / "figures"
@@ -73,7 +70,7 @@ def tables(scores: Scores) -> dict[str, str]:
             ("gesture", *final),
             [
                 *((label, *(_share(each.per_class, label) for each in final.values())) for label in gestures),
-                (scene, *(_percent(each.scene_accuracy) for each in final.values())),
+                (scene, *(percent(each.scene_accuracy) for each in final.values())),
             ],
         ),
         "people": table(
@@ -141,7 +138,7 @@ def draw_shares(axes: Axes, counts: NDArray[np.int64], labels: Sequence[str]) ->
 def _summary(title: str, evaluation: Evaluation) -> tuple[str, ...]:
     answers = [at(evaluation, length) for length in LENGTHS]
     error = max(row.calibration_error for row in answers)
-    return title, *(_percent(row.accuracy) for row in answers), f"{error:.2f}"
+    return title, *(percent(row.accuracy) for row in answers), f"{error:.2f}"
 
 
 def _spread(shares: Mapping[str, float]) -> tuple[str, ...]:
@@ -157,8 +154,4 @@ def _extremes(shares: Mapping[str, float]) -> tuple[str, ...]:
 
 
 def _share(shares: Mapping[str, float], label: str) -> str:
-    return _percent(shares[label]) if label in shares else ""
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.1f}"
+    return percent(shares[label]) if label in shares else ""

@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 from torch import nn
 
 from touchd.drivers.recording import Recording
-from touchd.model.adapt.adapt import Pretrained, logits, rehearsal
-from touchd.model.adapt.backbone import CropFeatures, WindowFeatures, crops, windows
+from touchd.model.adapt.adapt import Pretrained, logits
+from touchd.model.adapt.backbone import CropFeatures, WindowFeatures, windows
 from touchd.model.adapt.head import AdaptSettings, fit
 from touchd.model.adapt.measure import Floats, mean_interval
 from touchd.model.adapt.optimise import one_torch_thread
 from touchd.model.classifier import SHIPPED_MODEL
-from touchd.model.studies.folders import study_parser
+from touchd.model.studies.folders import STUDIES, folders_of, study_parser
 from touchd.model.studies.marked import fill, table
-from touchd.model.studies.results import STORED
+from touchd.model.studies.results import STORED, keep
 from touchd.model.training import checkpoint, haart, metrics
 from touchd.model.training.calibrate import IMPOSSIBLE
 from touchd.model.training.recipe import fold_jobs, read_recipe
@@ -100,9 +100,7 @@ class PersonFold:
             before = self.accuracy(start, evaluated)
             for each in SHOTS:
                 shown = [self.unseen[i] for first in drawn for i in first[:each]]
-                features = crops(
-                    pretrained.backbone, shown, pretrained.augmentation, settings.crops, settings.seed
-                )
+                features = pretrained.shown(shown, settings)
                 head = fit(start, pretrained.labels, [], features, rehearsed, settings)
                 after = self.accuracy(head, evaluated)
                 gains = [
@@ -147,20 +145,24 @@ def draw(recordings: Sequence[Recording], name: str, number: int) -> list[list[i
     ]
 
 
-def measure(folders: Folders, runs: Path, settings: AdaptSettings) -> Iterator[Trial]:
-    """Yield the trials of everybody in the three studies."""
-    takes = [*folders.to_train_on(("haart", "second")), *pieces(folders.to_train_on(("third",)))]
+def networks(folders: Folders, runs: Path) -> Iterator[tuple[tuple[str, ...], Pretrained]]:
+    """Yield the people of each fold, and the network that never saw them."""
     for job in fold_jobs(read_recipe()):
         left_out = job.settings.left_out
         saved = checkpoint.load(runs / job.name / CHECKPOINT_NAME)
-        remembered = remember(saved, folders)
-        pretrained = Pretrained.of(fold_path(SHIPPED_MODEL.parent, left_out), saved.network, remembered)
+        path = fold_path(SHIPPED_MODEL.parent, left_out)
+        yield left_out, Pretrained.of(path, saved.network, remember(saved, folders))
+
+
+def measure(folders: Folders, runs: Path, settings: AdaptSettings) -> Iterator[Trial]:
+    """Yield the trials of everybody in the three studies."""
+    takes = [*folders.to_train_on(("haart", "second")), *pieces(folders.to_train_on(("third",)))]
+    for left_out, pretrained in networks(folders, runs):
         fold = PersonFold(pretrained, haart.only(takes, left_out))
-        rehearsed = rehearsal(remembered, pretrained.labels, haart.GESTURES, settings.seed)
+        rehearsed = pretrained.rehearsed(pretrained.labels, haart.GESTURES, settings.seed)
         for name in fold.people:
-            if name in FEW:
-                continue
-            yield from fold.trials(name, rehearsed, settings)
+            if name not in FEW:
+                yield from fold.trials(name, rehearsed, settings)
 
 
 def tables(measured: Measured) -> dict[str, str]:
@@ -191,14 +193,10 @@ def _by_person(trials: Sequence[Trial], figure: Callable[[Trial], float]) -> Flo
 
 def main(arguments: Sequence[str]) -> int:
     """Measure everybody and fill the page; returns 0."""
-    parser = study_parser("adapting", __doc__, "haart", "second-study", "third-study", "docs")
-    parser.add_argument("--runs", type=Path, default=Path("runs"), help="the recipe's checkpoints (runs)")
-    options = parser.parse_args(arguments)
+    options = study_parser("adapting", __doc__, *STUDIES, "docs", "runs").parse_args(arguments)
     settings = AdaptSettings()
     with one_torch_thread():
-        folders = Folders(options.haart, options.second_study, options.third_study)
-        trials = tuple(measure(folders, options.runs, settings))
-    measured = Measured(settings, trials)
-    FILE.write_bytes(msgspec.json.format(msgspec.json.encode(measured), indent=0) + b"\n")
+        measured = Measured(settings, tuple(measure(folders_of(options), options.runs, settings)))
+    keep(FILE, measured)
     fill(options.docs / "adapt.md", tables(measured))
     return 0

@@ -1,7 +1,7 @@
 """When to tell the robot, and how often the answer is right: `python -m touchd.model.studies decision`.
 
 Each gesture is spliced between notouch recordings of the same participant and condition, as in
-`touchd.model.studies.detection.cases`. The daemon's tracker finds the touch, and a network that never saw
+`touchd.model.studies.cases`. The daemon's tracker finds the touch, and a network that never saw
 the person answers after each of its first 144 frames. All settings of the daemon's decision are tried on
 these answers.
 """
@@ -24,16 +24,25 @@ from touchd.daemon.path.decide import FINAL_ABOVE, REVISE_MARGIN, Decision, Deci
 from touchd.daemon.path.events import UNCERTAIN, Stage
 from touchd.daemon.path.pipeline import STAGES
 from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT
-from touchd.model.classifier import SHIPPED_MODEL, Classifier, ModelState
+from touchd.model.classifier import Classifier, ModelState
+from touchd.model.studies.cases import LEAD_FRAMES, Case, first_touch, spliced
 from touchd.model.studies.checks.evaluate import Split, score
-from touchd.model.studies.detection.cases import LEAD_FRAMES, Case, first_touch, spliced
-from touchd.model.studies.folders import study_parser
-from touchd.model.studies.marked import fill, table
+from touchd.model.studies.folders import (
+    HELD_OUT,
+    SECOND,
+    STUDIES,
+    TEST,
+    THIRD,
+    folders_of,
+    never_seen,
+    study_parser,
+)
+from touchd.model.studies.marked import fill, percent, table
 from touchd.model.studies.play import detector_for
 from touchd.model.studies.published import TABLE3
-from touchd.model.studies.results import STORED
+from touchd.model.studies.results import STORED, keep
 from touchd.model.training import haart, metrics
-from touchd.model.training.studies import MISSING, Folders
+from touchd.model.training.studies import MISSING
 from touchd.model.training.weights import FABRIC_MODEL, left_out_split
 
 FILE = STORED / "decision.json"
@@ -58,12 +67,10 @@ MOST_CHANGED = 0.10
 MOST_HARMED = 0.02
 AS_GOOD = 0.005
 """Half a point: two of 492 touches."""
-EARLY_S = 0.9
 NAMED = (0.4, 0.65, 0.75, 0.85)
 """Values of `speak_above` that the right panel names; others would lie on other lines."""
 LABELS_AT = ((1.0, 89.4), (1.1, 80.2), (1.1, 68.0))
 """Places of the left panel's labels: seconds, percent."""
-HAART, TEST, SECOND, THIRD = "HAART held out", "HAART test", "second study", "third study"
 NEVER_MET = "a pad never met"
 
 
@@ -188,34 +195,31 @@ class Measured(msgspec.Struct, frozen=True, kw_only=True):
         """The point with the default settings, on HAART."""
         settings = DecisionSettings()
         pair = settings.speak_above, REVISE_MARGIN
-        return next(p for p in self.studies[HAART].curve if (p.speak_above, p.revise_margin) == pair)
+        return next(p for p in self.studies[HELD_OUT].curve if (p.speak_above, p.revise_margin) == pair)
 
 
 def main(arguments: Sequence[str]) -> int:
     """Measure, store the figures, fill the page and draw; returns 0."""
-    parser = study_parser("decision", __doc__, "haart", "second-study", "third-study", "docs")
-    options = parser.parse_args(arguments)
-    folders = Folders(options.haart, options.second_study, options.third_study)
-    training, test = haart.read_training(folders.haart), haart.read_test(folders.haart)
-    weights, shipped = SHIPPED_MODEL.parent, Classifier.load()
-    third = folders.to_train_on(("third",))
-    studies = {
-        HAART: collect(left_out_split(weights, training), HAART),
-        TEST: collect([(shipped, test)], TEST),
-        SECOND: collect(left_out_split(weights, folders.to_train_on(("second",))), SECOND),
-        THIRD: collect(left_out_split(weights, third), THIRD, MISSING["third"]),
-    }
-    never_met = collect([(Classifier.load(weights / FABRIC_MODEL.name), third)], NEVER_MET, MISSING["third"])
-    windows = windows_of(haart.cut(haart.realigned(test), FRAMES), shipped)
-    measured = measure(studies, never_met, windows, at_fixed_times([(shipped, haart.realigned(test))]))
-    FILE.write_bytes(msgspec.json.format(msgspec.json.encode(measured)) + b"\n")
+    options = study_parser("decision", __doc__, *STUDIES, "docs", "weights").parse_args(arguments)
+    folders, weights = folders_of(options), options.weights
+    people = never_seen(folders, weights)
+    # More of the second study than is scored elsewhere: every take.
+    people[SECOND] = left_out_split(weights, folders.to_train_on(("second",)))
+    third = [recording for _, own in people[THIRD] for recording in own]
+    fabric = Classifier.load(weights / FABRIC_MODEL.name)
+    ((shipped, test),) = people[TEST]
+    measured = measure(
+        {name: collect(own, name, MISSING["third"] if name == THIRD else ()) for name, own in people.items()},
+        collect([(fabric, third)], NEVER_MET, MISSING["third"]),
+        windows_of(haart.cut(test, FRAMES), shipped),
+        at_fixed_times(people[TEST]),
+    )
+    keep(FILE, measured)
     fill(options.docs / "decision.md", tables(measured))
     draw(measured, options.docs / "figures" / "decision.png")
-    picked = choose(measured.studies[HAART].curve)
+    picked = choose(measured.studies[HELD_OUT].curve)
     sys.stdout.write(
-        f"{options.docs / 'decision.md'}\n"
         f"The rule picks speak_above {picked.speak_above}, revise_margin {picked.revise_margin}.\n"
-        f"The figures support scene.early: {best_choice(measured)}.\n"
     )
     return 0
 
@@ -337,21 +341,6 @@ def choose(curve: Sequence[Point]) -> Point:
     return max(as_good, key=lambda p: (p.told_early, -p.revise_margin))
 
 
-def best_choice(measured: Measured) -> str:
-    """Return `when_sure` if it pays in every study, else `at_mark`.
-
-    It pays if the first answer comes within EARLY_S on average and is right as often as at the marks, within
-    AS_GOOD, and at most MOST_HARMED of the touches are harmed.
-    """
-    pays = all(
-        when_sure.first_mean_s <= EARLY_S
-        and when_sure.first_right >= at_mark.first_right - AS_GOOD
-        and when_sure.harmed <= MOST_HARMED
-        for at_mark, when_sure in (study.choices for study in measured.studies.values())
-    )
-    return "when_sure" if pays else "at_mark"
-
-
 def at_limit(windows: Streams, limit: float) -> AtLimit:
     """Return how windows are answered once the confidence reaches the daemon's limit."""
     limits = np.array([sure_above(limit, frames) for frames in range(1, FRAMES + 1)])
@@ -377,11 +366,7 @@ def collect(split: Split, title: str, missing: Sequence[str] = ()) -> Streams:
 
     missing: gestures that the study does not contain and that are not allowed as answers.
     """
-    cases = [
-        (model, case)
-        for model, recordings in split
-        for case in spliced(haart.realigned(recordings), level_rest=True)
-    ]
+    cases = [(model, case) for model, recordings in split for case in spliced(recordings, level_rest=True)]
     labels = split[0][0].labels
     console = Console(stderr=True)
     rows = [
@@ -426,7 +411,7 @@ def _follow(case: Case, model: Classifier) -> Iterator[tuple[int, NDArray[np.flo
 
 def tables(measured: Measured) -> dict[str, str]:
     """Return the page's tables, in percent and seconds."""
-    default, curve = measured.default, measured.studies[HAART].curve
+    default, curve = measured.default, measured.studies[HELD_OUT].curve
     final = {title: study.final for title, study in measured.studies.items()} | {
         NEVER_MET: measured.never_met
     }
@@ -447,7 +432,7 @@ def tables(measured: Measured) -> dict[str, str]:
             [
                 (
                     f"{p.speak_above:.2f}" + (" (default)" if p == default else ""),
-                    *map(_percent, (p.told_early, p.right_when_told_early, p.right_at_end, p.harmed)),
+                    *map(percent, (p.told_early, p.right_when_told_early, p.right_at_end, p.harmed)),
                 )
                 for p in curve
                 if p.revise_margin == default.revise_margin and (p == default or p.speak_above in SHOWN)
@@ -490,20 +475,16 @@ def _draw_early(measured: Measured, right: Axes) -> None:
         along = [p for p in study.curve if p.revise_margin == margin]
         points = [(100 * p.told_early, 100 * p.right_when_told_early) for p in along]
         right.plot(*zip(*points, strict=True), "o-", color=colour, markersize=4)
-        va = "top" if title in (HAART, THIRD) else "bottom"
+        va = "top" if title in (HELD_OUT, THIRD) else "bottom"
         right.annotate(title, points[0], xytext=(6, 0), textcoords="offset points", va=va, color=colour)
         chosen = next(p for p in along if p.speak_above == measured.default.speak_above)
         right.plot(
             100 * chosen.told_early, 100 * chosen.right_when_told_early, "*", color=colour, markersize=14
         )
-    curve = measured.studies[HAART].curve
+    curve = measured.studies[HELD_OUT].curve
     for p in [p for p in curve if p.revise_margin == margin and p.speak_above in NAMED]:
         dot = (100 * p.told_early, 100 * p.right_when_told_early)
         name = f"{p.speak_above:.2g}"
         right.annotate(name, dot, xytext=(4, 3), textcoords="offset points", color="#1f5fa8", fontsize=8)
     right.set(xlabel="touches told after 1 s, %", ylabel="right when told, %", xlim=(0, 140))
     right.set_xticks(range(0, 101, 20))
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.1f}"

@@ -1,22 +1,20 @@
-"""Commands that make and measure the shipped model: `data`, `train`, `export`, `evaluate`, `stability`."""
+"""Commands that make and measure the shipped model.
+
+`data`, `train`, `export`, `detector`, `evaluate`, `stability`.
+"""
 
 import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import msgspec
 from rich.console import Console
 
 from touchd.model.classifier import SHIPPED_MODEL, ModelError
-from touchd.model.studies.folders import study_parser
+from touchd.model.studies.folders import STUDIES, folders_of, study_parser
 from touchd.model.training.download import ARCHIVE_URL, obtain
 from touchd.model.training.recipe import SHIPPED_RECIPE, read_recipe
-from touchd.model.training.studies import Folders
-
-STUDIES = ("haart", "second-study", "third-study")
-WEIGHTS: dict[str, Any] = {"type": Path, "default": SHIPPED_MODEL.parent, "help": "folder of the model files"}
 
 
 def data(arguments: Sequence[str]) -> int:
@@ -43,29 +41,50 @@ def train(arguments: Sequence[str]) -> int:
 
     from touchd.model.training.ship import train_recipe
 
-    recipe, folders = read_recipe(options.recipe), _folders(options)
+    recipe, folders = read_recipe(options.recipe), folders_of(options)
     train_recipe(recipe, folders, options.runs, options.threads, options.begin_from)
     return 0
 
 
 def export(arguments: Sequence[str]) -> int:
     """Calibrate on people held out, export, print the files written; returns 0."""
-    parser = _recipe_parser("export", "Exports a trained recipe to ONNX.")
-    parser.add_argument("--weights", **WEIGHTS)
-    options = parser.parse_args(arguments)
+    options = _recipe_parser("export", "Exports a trained recipe to ONNX.", "weights").parse_args(arguments)
 
     from touchd.model.training.ship import export_recipe
 
-    for path in export_recipe(read_recipe(options.recipe), _folders(options), options.runs, options.weights):
+    recipe, folders = read_recipe(options.recipe), folders_of(options)
+    for path in export_recipe(recipe, folders, options.runs, options.weights):
         sys.stdout.write(f"{path}\n")
+    return 0
+
+
+def detector(arguments: Sequence[str]) -> int:
+    """Train what is not trained yet, resuming where a training was cut off, and export it; returns 0."""
+    parser = study_parser("detector", "Trains and exports the detectors.", *STUDIES, "runs", "weights")
+    parser.add_argument("--only", default="", help="one of them by its file's name, such as fold1")
+    options = parser.parse_args(arguments)
+
+    import torch
+
+    from touchd.model.training.detector.data import composer
+    from touchd.model.training.detector.export import export as write_file
+    from touchd.model.training.detector.train import DetectorRecipe
+    from touchd.model.training.detector.train import train as train_network
+
+    torch.set_num_threads(1)
+    for name, settings in DetectorRecipe.read().jobs().items():
+        if options.only in ("", name.stem):
+            pieces, path = composer(folders_of(options), settings), options.weights / name
+            network = train_network(pieces, settings, options.runs / "detector" / name.stem)
+            write_file(network, msgspec.to_builtins(settings), path)
+            sys.stdout.write(f"{path}\n")
     return 0
 
 
 def evaluate(arguments: Sequence[str]) -> int:
     """Print the model's scores on the recordings there are, or write scores.json; returns 0."""
     what = "Scores the model on people whom it never saw: on HAART's, and on further studies' where they are."
-    parser = study_parser("evaluate", what, *STUDIES)
-    parser.add_argument("--weights", **WEIGHTS)
+    parser = study_parser("evaluate", what, *STUDIES, "weights")
     parser.add_argument(
         "--write",
         action="store_true",
@@ -78,9 +97,9 @@ def evaluate(arguments: Sequence[str]) -> int:
     from touchd.model.studies.checks.scores import show, write
 
     if options.write:
-        sys.stdout.write(f"{write(_folders(options), options.weights)}\n")
+        sys.stdout.write(f"{write(folders_of(options), options.weights)}\n")
     else:
-        show(_folders(options), options.weights)
+        show(folders_of(options), options.weights)
     return 0
 
 
@@ -90,23 +109,14 @@ def stability(arguments: Sequence[str]) -> int:
 
     parser = study_parser("stability", "Checks a model file's arithmetic.")
     parser.add_argument("--model", type=Path, default=SHIPPED_MODEL, help="an ONNX file; ours without it")
-    parser.add_argument("--json", action="store_true", help="one JSON array instead of a table")
     parser.add_argument("--hours", type=float, default=0.0, help="also check a stream this long")
     options = parser.parse_args(arguments)
     checks = run(options.model, options.hours)
-    if options.json:
-        sys.stdout.buffer.write(msgspec.json.encode(checks) + b"\n")
-    else:
-        Console().print(table(checks))
+    Console().print(table(checks))
     return 0 if all(check.passed for check in checks) else 1
 
 
-def _recipe_parser(name: str, description: str) -> argparse.ArgumentParser:
-    parser = study_parser(name, description, *STUDIES)
-    parser.add_argument("--runs", type=Path, default=Path("runs"), help="folder for checkpoints (runs)")
+def _recipe_parser(name: str, description: str, *takes: str) -> argparse.ArgumentParser:
+    parser = study_parser(name, description, *STUDIES, "runs", *takes)
     parser.add_argument("--recipe", type=Path, default=SHIPPED_RECIPE, help="YAML file; the shipped model's")
     return parser
-
-
-def _folders(options: argparse.Namespace) -> Folders:
-    return Folders(options.haart, options.second_study, options.third_study)

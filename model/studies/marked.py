@@ -22,6 +22,11 @@ def table(headings: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return "\n".join((first, "|" + "---|" * len(headings), *others))
 
 
+def percent(share: float) -> str:
+    """Return a share in percent, with one digit."""
+    return f"{100 * share:.1f}"
+
+
 def fill(page: Path, tables: Mapping[str, str]) -> None:
     """Put each table into its place, and change nothing else; raises PageError if a place is missing."""
     text = page.read_text(encoding="utf-8")

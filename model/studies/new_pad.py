@@ -15,21 +15,21 @@ from numpy.typing import NDArray
 from torch import nn
 
 from touchd.drivers.recording import Recording
-from touchd.model.adapt.adapt import Pretrained, logits, rehearsal
-from touchd.model.adapt.backbone import CropFeatures, crops, windows
+from touchd.model.adapt.adapt import Pretrained, logits
+from touchd.model.adapt.backbone import windows
 from touchd.model.adapt.head import AdaptSettings, fit, rebuilt
 from touchd.model.adapt.optimise import one_torch_thread
-from touchd.model.classifier import SHIPPED_MODEL
-from touchd.model.studies.folders import study_parser
-from touchd.model.studies.marked import fill, table
-from touchd.model.studies.results import STORED
+from touchd.model.studies.adapting import networks
+from touchd.model.studies.folders import STUDIES, folders_of, study_parser
+from touchd.model.studies.marked import fill, percent, table
+from touchd.model.studies.results import STORED, keep
 from touchd.model.training import checkpoint, haart, metrics, third_study
 from touchd.model.training.calibrate import IMPOSSIBLE
-from touchd.model.training.recipe import fold_jobs, read_recipe, study_jobs
+from touchd.model.training.recipe import read_recipe, study_jobs
 from touchd.model.training.ship import remember
 from touchd.model.training.studies import MISSING, Folders
 from touchd.model.training.train import CHECKPOINT_NAME
-from touchd.model.training.weights import FABRIC_MODEL, fold_path
+from touchd.model.training.weights import FABRIC_MODEL
 
 PEOPLE = (1, 3, 6, 9)
 DRAWS = 6
@@ -101,13 +101,12 @@ def people_on_a_new_pad(
 ) -> tuple[tuple[float, ...], list[Learnt]]:
     """Return the fabric network's accuracy on the new pad, unadapted and adapted to some of its people."""
     saved = checkpoint.load(runs / study_jobs(read_recipe())[0].name / CHECKPOINT_NAME)
-    remembered = remember(saved, folders)
-    pretrained = Pretrained.of(FABRIC_MODEL, saved.network, remembered)
+    pretrained = Pretrained.of(FABRIC_MODEL, saved.network, remember(saved, folders))
     recordings = folders.to_train_on(("third",))
     labels = pretrained.labels
     scored = Scored(pretrained, recordings, labels)
-    shown = crops(pretrained.backbone, recordings, pretrained.augmentation, settings.crops, settings.seed)
-    rehearsed = rehearsal(remembered, labels, haart.GESTURES, settings.seed)
+    shown = pretrained.shown(recordings, settings)
+    rehearsed = pretrained.rehearsed(labels, haart.GESTURES, settings.seed)
     everybody = sorted(set(scored.people.tolist()))
 
     def accuracies(head: nn.Sequential, people: Sequence[str]) -> tuple[float, ...]:
@@ -129,21 +128,11 @@ def two_gestures_more(folders: Folders, runs: Path, settings: AdaptSettings) -> 
     """Yield each fold's figures after adding tap and poke, recorded by the people it was trained on."""
     third = third_study.read(folders.third_study, NEW)
     fabric = folders.to_train_on(("haart", "second"))
-    for job in fold_jobs(read_recipe()):
-        left_out = job.settings.left_out
-        saved = checkpoint.load(runs / job.name / CHECKPOINT_NAME)
-        remembered = remember(saved, folders)
-        pretrained = Pretrained.of(fold_path(SHIPPED_MODEL.parent, left_out), saved.network, remembered)
+    for left_out, pretrained in networks(folders, runs):
         labels = tuple(sorted({*pretrained.labels, *NEW}))
         start = rebuilt(pretrained.head, pretrained.labels, labels)
-        shown: CropFeatures = crops(
-            pretrained.backbone,
-            haart.without(third, left_out),
-            pretrained.augmentation,
-            settings.crops,
-            settings.seed,
-        )
-        rehearsed = rehearsal(remembered, labels, haart.GESTURES, settings.seed)
+        shown = pretrained.shown(haart.without(third, left_out), settings)
+        rehearsed = pretrained.rehearsed(labels, haart.GESTURES, settings.seed)
         head = fit(start, labels, NEW, shown, rehearsed, settings)
         on_third = Scored(pretrained, haart.only(third, left_out), labels)
         on_fabric = Scored(pretrained, haart.only(fabric, left_out), labels)
@@ -166,10 +155,10 @@ def two_gestures_more(folders: Folders, runs: Path, settings: AdaptSettings) -> 
 
 def tables(measured: Measured) -> dict[str, str]:
     """Return the page's tables by their places."""
-    rows: list[tuple[object, ...]] = [("nobody", *map(_percent, measured.untaught))]
+    rows: list[tuple[object, ...]] = [("nobody", *map(percent, measured.untaught))]
     for count, draws in groupby(measured.learnt, lambda learnt: len(learnt.people)):
         after = np.array([learnt.after for learnt in draws]).mean(axis=0)
-        rows.append((count, *map(_percent, after)))
+        rows.append((count, *map(percent, after)))
     changed: list[tuple[object, ...]] = []
     for frames in FRAMES:
         folds = [added for added in measured.added if added.frames == frames]
@@ -180,8 +169,8 @@ def tables(measured: Measured) -> dict[str, str]:
         changed.append(
             (
                 f"{frames / 54:.2g} s",
-                *map(_percent, new),
-                *(f"{_percent(b)} → {_percent(a)}" for b, a in pairs),
+                *map(percent, new),
+                *(f"{percent(b)} → {percent(a)}" for b, a in pairs),
             )
         )
     return {
@@ -194,21 +183,14 @@ def _mean(shares: NDArray[np.float64]) -> float:
     return round(float(np.nanmean(shares)), 4)
 
 
-def _percent(share: float) -> str:
-    return f"{100 * share:.1f}"
-
-
 def main(arguments: Sequence[str]) -> int:
     """Measure and fill the page; returns 0."""
-    parser = study_parser("new_pad", __doc__, "haart", "second-study", "third-study", "docs")
-    parser.add_argument("--runs", type=Path, default=Path("runs"), help="the recipes' checkpoints (runs)")
-    options = parser.parse_args(arguments)
-    settings = AdaptSettings()
+    options = study_parser("new_pad", __doc__, *STUDIES, "docs", "runs").parse_args(arguments)
+    settings, folders = AdaptSettings(), folders_of(options)
     with one_torch_thread():
-        folders = Folders(options.haart, options.second_study, options.third_study)
         untaught, learnt = people_on_a_new_pad(folders, options.runs, settings)
         added = tuple(two_gestures_more(folders, options.runs, settings))
     measured = Measured(settings, untaught, tuple(learnt), added)
-    FILE.write_bytes(msgspec.json.format(msgspec.json.encode(measured), indent=0) + b"\n")
+    keep(FILE, measured)
     fill(options.docs / "adapt.md", tables(measured))
     return 0

@@ -6,13 +6,10 @@ of HAART's test people. Caresses are those of the page's hand. All but the windo
 pipeline. With `--firm-pad`, a pad that nothing was trained on.
 """
 
-import csv
-import gzip
 import logging
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -27,15 +24,14 @@ from touchd.drivers.fakes.pointers import Pointer, PressingHands
 from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, NO_TOUCH, OTHER, ROWS, Counts
 from touchd.drivers.pad.format import Layout, PadFormat
 from touchd.drivers.recording import Recording, on_grid
-from touchd.model.classifier import SHIPPED_MODEL, Classifier
+from touchd.model.classifier import Classifier
 from touchd.model.studies.checks.evaluate import Split, answer
-from touchd.model.studies.folders import study_parser
+from touchd.model.studies.folders import STUDIES, TEST, THIRD, folders_of, never_seen, study_parser
 from touchd.model.studies.marked import fill, table
 from touchd.model.studies.play import frames_of, play
-from touchd.model.studies.results import STORED
-from touchd.model.studies.sessions import streams
-from touchd.model.training import haart, third_study
-from touchd.model.training.haart import find
+from touchd.model.studies.results import STORED, keep
+from touchd.model.studies.sessions import firm_pad, streams
+from touchd.model.training import third_study
 from touchd.model.training.studies import Folders
 from touchd.model.training.weights import left_out_split
 
@@ -270,16 +266,14 @@ def caress(lasts_s: float, seed: int) -> Counts:
 
 def firm_touches(folder: Path) -> Iterator[Counts]:
     """Yield the recordings of a firm, coarse pad whose touches are none of the gestures, on 8x8 and 54 Hz."""
-    layout = Layout(PadFormat(framing="text", rows=19, columns=27))
-    path = find(folder, "streams.csv", "name its folder: --firm-pad")
-    with gzip.open(path, "rt", newline="") if path.suffix == ".gz" else path.open(newline="") as file:
-        _, *rows = csv.reader(file)
-    for name, group in groupby(rows, lambda row: row[0]):
-        if name.startswith(FIRM):
-            cells = np.array([row[3:] for row in group], dtype=np.float64).clip(0).astype(np.uint16)
+    layout = Layout(PadFormat(framing="text", rows=firm_pad.ROWS, columns=firm_pad.COLUMNS))
+    for stream in firm_pad.read(folder):
+        if stream.name.startswith(FIRM):
+            cells = stream.frames.reshape(len(stream.frames), -1).clip(0).astype(np.uint16)
             counts = np.stack([layout.pressure(scan) for scan in cells])
             clock = (np.arange(len(counts)) * 1000.0 / FIRM_HZ).astype(np.int64)
-            yield on_grid(Recording(name, "", "", OTHER, counts, clock, "live")).counts.astype(np.uint16)
+            laid = on_grid(Recording(stream.name, "", "", OTHER, counts, clock, "live"))
+            yield laid.counts.astype(np.uint16)
 
 
 def by_touch(events: Sequence[Event]) -> list[list[Event]]:
@@ -291,34 +285,24 @@ def by_touch(events: Sequence[Event]) -> list[list[Event]]:
     return [*answers.values()]
 
 
-def measure(folders: Folders, firm_pad: Path | None) -> Measured:
-    """Measure everything."""
-    weights = SHIPPED_MODEL.parent
-    shipped = Classifier.load()
+def measure(folders: Folders, weights: Path, firm: Path | None) -> Measured:
+    """Measure everything. firm: folder of the firm pad's recordings; None: no figures of it."""
+    people = never_seen(folders, weights)
+    third, ((shipped, test),) = people[THIRD], people[TEST]
     strange = left_out_split(weights, folders.others(("third",)))
-    third = left_out_split(weights, folders.to_train_on(("third",)))
-    scored = folders.to_score_on(("haart", "second"))
-    test = haart.realigned(haart.read_test(folders.haart))
     rests = [each.counts for each in test if each.gesture == NO_TOUCH]
     rng = np.random.default_rng(11)
     blows, squeezes = (_played(shipped, maker, rests, rng) for maker in (blow, squeeze))
     return Measured(
         model=shipped.name,
         windows=[windows(strange, third, length) for length in LENGTHS],
-        lost=[
-            lost("HAART test", [(shipped, test)]),
-            *(
-                lost(f"{study}, held out", left_out_split(weights, recordings))
-                for study, recordings in scored.items()
-            ),
-            lost("third, held out", third),
-        ],
+        lost=[lost(name, split) for name, split in people.items()],
         curve=curve(strange, third),
         streams=told(_other_streams(folders)),
         made={"blow": told(blows), "squeeze": told(squeezes)},
         blows_called_pat=_percent(np.array([any(map(_is_sure_pat, events)) for events in blows])),
         caresses={f"{lasts_s:g}": _caressed(shipped, lasts_s) for lasts_s in SPEEDS_S},
-        firm_pad=None if firm_pad is None else _on_firm_pad(shipped, firm_pad),
+        firm_pad=None if firm is None else _on_firm_pad(shipped, firm),
     )
 
 
@@ -339,7 +323,11 @@ def _other_streams(folders: Folders) -> list[list[Event]]:
     """Return the events of the third study's streams of touches that are none of the gestures."""
     models, named = streams.held_out(), third_study.OTHERS
     found = streams.read(folders.third_study, others=named)
-    return [streams.play(each, models[each.participant]) for each in found if each.gesture in named]
+    return [
+        play(streams.frames_of(each), models[each.participant], streams.SETTINGS, flush=True)
+        for each in found
+        if each.gesture in named
+    ]
 
 
 def _on_firm_pad(shipped: Classifier, firm_pad: Path) -> Told:
@@ -383,12 +371,10 @@ def tables(measured: Measured) -> dict[str, str]:
 
 def main(arguments: Sequence[str]) -> int:
     """Measure, store the figures and fill the page; returns 0."""
-    parser = study_parser("others", __doc__, "docs", "haart", "second-study", "third-study")
-    parser.add_argument("--firm-pad", type=Path, help="folder of a firm pad's streams; without it, no figure")
-    options = parser.parse_args(arguments)
+    options = study_parser("others", __doc__, *STUDIES, "docs", "weights", "firm-pad").parse_args(arguments)
     # Silence the daemon's log, which would report on every stream.
     logging.disable()
-    measured = measure(Folders(options.haart, options.second_study, options.third_study), options.firm_pad)
-    FILE.write_bytes(msgspec.json.format(msgspec.json.encode(measured)) + b"\n")
+    measured = measure(folders_of(options), options.weights, options.firm_pad)
+    keep(FILE, measured)
     fill(options.docs / "accuracy.md", tables(measured))
     return 0

@@ -29,7 +29,7 @@ from touchd.model.studies.folders import study_parser
 from touchd.model.studies.marked import fill, table
 from touchd.model.studies.paper_network import PaperSettings, PaperTGC, Variant
 from touchd.model.studies.published import TABLE3
-from touchd.model.studies.results import STORED, Results, percent
+from touchd.model.studies.results import STORED, Results, mean_percent
 from touchd.model.training import haart, metrics
 from touchd.model.training.checkpoint import CheckpointError
 from touchd.model.training.haart import GESTURES, Windows
@@ -249,7 +249,7 @@ def tables(results: Results) -> dict[str, str]:
             frames,
             TABLE3.get(frames, ""),
             *_row(results, [cell for cell in cells if cell.frames == frames]),
-            *(percent(results.get(our_key(framing, frames))["accuracies"]) for framing in FRAMINGS),
+            *(mean_percent(results.get(our_key(framing, frames))["accuracies"]) for framing in FRAMINGS),
         )
         for frames in REPORTED_LENGTHS
     ]
@@ -266,7 +266,7 @@ def _row(results: Results, cells: Sequence[PaperCell]) -> tuple[str, ...]:
     own = [cell for cell in public if cell.blocks == blocks]
     epochs = max(cell.epochs for cell in own)
     curves = [results.get(cell.key)["accuracies"] for cell in own if cell.epochs == epochs]
-    return f"{blocks} / {epochs}", percent([curve[-1] for curve in curves])
+    return f"{blocks} / {epochs}", mean_percent([curve[-1] for curve in curves])
 
 
 def _load(path: Path) -> Mapping[str, Any]:

@@ -10,16 +10,18 @@ from datetime import datetime, timezone
 from importlib import metadata
 from pathlib import Path
 from time import monotonic
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
 
 from touchd.drivers.errors import TouchdError
 from touchd.drivers.whole_file import whole_file
+from touchd.model.studies.marked import percent
 
 STORED = Path(__file__).parent / "stored"
 LIBRARIES = ("numpy", "onnxruntime", "torch", "scikit-learn")
+Figures = TypeVar("Figures", bound=msgspec.Struct)
 
 
 class ResultsError(TouchdError):
@@ -88,9 +90,19 @@ class Results:
                 sys.stderr.write(f"{key}: {msgspec.json.encode(self.get(key)).decode()}\n")
 
 
-def percent(shares: Sequence[float]) -> str:
+def keep(path: Path, measured: msgspec.Struct) -> None:
+    """Store the figures of a study that measures all of them at once."""
+    path.write_bytes(msgspec.json.format(msgspec.json.encode(measured), indent=1) + b"\n")
+
+
+def stored(path: Path, kind: type[Figures]) -> Figures:
+    """Return what `keep` stored."""
+    return msgspec.json.decode(path.read_bytes(), type=kind)
+
+
+def mean_percent(shares: Sequence[float]) -> str:
     """Return the mean share in percent; "" for no share."""
-    return f"{100 * np.mean(shares):.1f}" if shares else ""
+    return percent(float(np.mean(shares))) if shares else ""
 
 
 def command() -> str:

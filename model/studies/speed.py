@@ -42,7 +42,7 @@ from touchd.model.studies.paper import FILE as PAPER_FILE
 from touchd.model.studies.paper import our_key
 from touchd.model.studies.paper_network import PaperSettings, PaperTGC
 from touchd.model.studies.published import TABLE3
-from touchd.model.studies.results import STORED, Results, machine
+from touchd.model.studies.results import STORED, Results, keep, machine
 from touchd.model.training.export import OPSET
 from touchd.model.training.haart import GESTURES
 from touchd.model.training.weights import HAART_MODEL, SCORES_NAME
@@ -120,7 +120,7 @@ def main(arguments: Sequence[str]) -> int:
     with tempfile.TemporaryDirectory() as folder, one_torch_thread():
         measured = run(answers_of(options.model, Path(folder)), options.answers)
     if options.write:
-        FILE.write_bytes(msgspec.json.format(msgspec.json.encode(measured), indent=1) + b"\n")
+        keep(FILE, measured)
         fill(options.docs / "speed.md", tables(measured))
         draw(measured, options.docs / "figures" / "front.png")
     shown = Table(box=SIMPLE_HEAD)

@@ -3,12 +3,16 @@
 A change is judged by it: sessions, also disturbed; streams of another pad; touches in passing; hands that
 change; a firm pad; how soon a touch is found. Networks never saw the people, but for the pads never met.
 Results are stored one by one, so an interrupted run resumes. `--against FILE` prints what differs.
+
+`detection` measures what the tracker alone decides, in minutes, and fills a table of sessions.md.
 """
 
+import argparse
 import logging
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -16,19 +20,32 @@ import msgspec
 import numpy as np
 
 from touchd.daemon.path.events import Event, TouchBegan, epoch_s
-from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT, NO_TOUCH, Counts, Frame
-from touchd.model.classifier import SHIPPED_MODEL, Classifier
+from touchd.daemon.path.pipeline import PipelineSettings
+from touchd.daemon.path.tracker import SENSITIVITIES, TouchSettings
+from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT, NO_TOUCH, Counts
+from touchd.model.classifier import Classifier
+from touchd.model.studies.cases import Case, spliced
 from touchd.model.studies.checks.evaluate import Split
-from touchd.model.studies.detection.cases import Case, spliced
-from touchd.model.studies.folders import study_parser
-from touchd.model.studies.play import frames_of, play
+from touchd.model.studies.folders import (
+    HELD_OUT,
+    SECOND,
+    STUDIES,
+    TEST,
+    THIRD,
+    folders_of,
+    never_seen,
+    study_parser,
+)
+from touchd.model.studies.marked import fill, table
+from touchd.model.studies.play import DEFAULT, Player, detect, frames_of, play
 from touchd.model.studies.results import STORED, Results
 from touchd.model.studies.sessions import changes, firm_pad, passing, streams
 from touchd.model.studies.sessions.plan import SessionSettings, sessions
 from touchd.model.studies.sessions.score import judge, score
-from touchd.model.training import haart, second_study, third_study
+from touchd.model.training import second_study
 from touchd.model.training.weights import FABRIC_MODEL, left_out_split
 
+FILE, DETECTION_FILE = STORED / "tables.json", STORED / "detection.json"
 DISTURBED = {
     "noise": SessionSettings(noise=1.5),
     "hum": SessionSettings(hum=2.0),
@@ -38,14 +55,17 @@ DISTURBED = {
 FIRM_RATES = ((12.0, 54.0), (8.0, 54.0), (12.0, 12.0))
 """How fast the firm pad's recordings ran, and how many frames a second are sent."""
 NOISE_COUNTS = 1.0
+PLAIN = SessionSettings()
+ANSWERS = {"early", "revised", "final", "last", "first", "harmful", "t_first", "named", "right"}
+"""Figures of answers, which the tracker alone does not give."""
 Figures = dict[str, Any]
 Table = Iterator[tuple[str, Callable[[], Figures]]]
 
 
-def session_figures(split: Split, settings: SessionSettings) -> Figures:
+def session_figures(split: Split, settings: SessionSettings, player: Player = play) -> Figures:
     """Play a session for each person and condition, and score them together."""
     played = [
-        judge(session, play(frames_of(session.counts), model))
+        judge(session, player(frames_of(session.counts), model))
         for model, own in split
         for session in sessions(own, settings)
     ]
@@ -58,28 +78,13 @@ def passing_figures(split: Split) -> Figures:
     return msgspec.structs.asdict(passing.score([fate for fate in fates if fate.touch.is_in_mix]))
 
 
-def delay_figures(split: Split) -> Figures:
+def delay_figures(split: Split, player: Player, settings: PipelineSettings = DEFAULT) -> Figures:
     """Return how long after the first visible pressure a touch is reported, with the rest levelled."""
-    return delays(
-        (case, play(frames_of(case_counts(case)), model))
-        for model, own in split
-        for case in spliced(own, level_rest=True)
-    )
-
-
-def case_counts(case: Case) -> Counts:
-    """Return what the pad reads until the gesture ends."""
-    counts: Counts = np.clip(np.rint(case.scans[: case.stop]), 0, MAX_COUNT).astype(np.uint16)
-    return counts
-
-
-def delays(cases: Iterable[tuple[Case, Sequence[Event]]]) -> Figures:
-    """Return the figures of these cases together."""
     delays_ms: list[float] = []
-    missed = touches = 0
-    for case, events in cases:
-        touches += 1
-        began = [epoch_s(event.time) for event in events if isinstance(event, TouchBegan)]
+    missed = 0
+    cases = [(model, case) for model, own in split for case in spliced(own, level_rest=True)]
+    for model, case in cases:
+        began = [epoch_s(event.time) for event in _begun(player(frames_of(_read(case)), model, settings))]
         found = [at_s for at_s in began if at_s * FRAME_RATE_HZ >= case.start]
         missed += not found
         if found:
@@ -87,7 +92,7 @@ def delays(cases: Iterable[tuple[Case, Sequence[Event]]]) -> Figures:
             delays_ms.append(max(0.0, 1000.0 * (found[0] - visible_s)))
     median, most = np.quantile(delays_ms, [0.5, 0.9])
     return {
-        "touches": touches,
+        "touches": len(cases),
         "missed": missed,
         "late": sum(ms > 1000.0 for ms in delays_ms),
         "median_ms": round(float(median), 1),
@@ -95,113 +100,163 @@ def delays(cases: Iterable[tuple[Case, Sequence[Event]]]) -> Figures:
     }
 
 
-def false_in_10_min(split: Split, played: Callable[[Iterable[Frame], Classifier], list[Event]]) -> float:
-    """Return the false touches in ten minutes of notouch on a noisier pad. played: the events of frames."""
+def _read(case: Case) -> Counts:
+    """Return what the pad reads until the gesture ends."""
+    counts: Counts = np.clip(np.rint(case.scans[: case.stop]), 0, MAX_COUNT).astype(np.uint16)
+    return counts
+
+
+def _begun(events: Iterable[Event]) -> list[TouchBegan]:
+    return [event for event in events if isinstance(event, TouchBegan)]
+
+
+def false_in_10_min(split: Split, player: Player, settings: PipelineSettings = DEFAULT) -> float:
+    """Return the false touches in ten minutes of notouch on a noisier pad."""
     rng, began, minutes = np.random.default_rng(0), 0, 0.0
     for model, recordings in split:
         for scans in (one.counts for one in recordings if one.gesture == NO_TOUCH):
             noisy = (scans + NOISE_COUNTS * rng.normal(size=scans.shape)).clip(0).round()
-            events = played(frames_of(noisy.astype(np.uint16)), model)
-            began += sum(isinstance(event, TouchBegan) for event in events)
+            began += len(_begun(player(frames_of(noisy.astype(np.uint16)), model, settings)))
             minutes += len(scans) / FRAME_RATE_HZ / 60.0
     return round(10.0 * began / minutes, 2)
 
 
 class Tables:
-    """The recordings, the networks that never saw their people, and what is measured on them."""
+    """The recordings, the networks that never saw their people, and what `player` makes of them."""
 
-    def __init__(self, folders: Any) -> None:
-        weights = folders.weights
-        self._third, self._firm = folders.third_study, folders.firm_pad
-        self._shipped = Classifier.load(weights / SHIPPED_MODEL.name)
+    def __init__(self, options: argparse.Namespace, player: Player) -> None:
+        folders, weights = folders_of(options), options.weights
+        self._third, self._firm, self._player = folders.third_study, options.firm_pad, player
+        self._splits = never_seen(folders, weights)
+        self._robot = left_out_split(weights, second_study.read(folders.second_study))
         self._fabric = Classifier.load(weights / FABRIC_MODEL.name)
-        training = haart.realigned(haart.read_training(folders.haart))
-        robot = second_study.read(folders.second_study)
-        self._training = training
-        self._test: Split = [(self._shipped, haart.realigned(haart.read_test(folders.haart)))]
-        self._haart = left_out_split(weights, training)
-        self._robot = left_out_split(weights, robot)
-        self._second = left_out_split(weights, second_study.scored(robot))
-        self._third_recordings = left_out_split(weights, third_study.read(folders.third_study))
 
-    def all(self) -> Table:
-        """Yield each row's name and what measures it."""
-        plain = SessionSettings()
-        of_robot = {
-            substrate: [
-                (model, [one for one in own if one.substrate == substrate]) for model, own in self._robot
+    def detection(self) -> Table:
+        """Yield the rows that begin with how touches are found."""
+        test, held_out = self._splits[TEST], self._splits[HELD_OUT]
+        yield from self._sessions("sessions/HAART test", test)
+        yield from self._sessions("sessions/HAART", held_out)
+        for words, substrate in (("robot still", "static"), ("robot breathes", "dynamic")):
+            some = [
+                (model, [each for each in own if each.substrate == substrate]) for model, own in self._robot
             ]
-            for substrate in ("static", "dynamic")
-        }
-        yield "sessions/HAART test", partial(session_figures, self._test, plain)
-        yield "sessions/HAART", partial(session_figures, self._haart, plain)
-        yield "sessions/robot still", partial(session_figures, of_robot["static"], plain)
-        yield "sessions/robot breathes", partial(session_figures, of_robot["dynamic"], plain)
+            yield from self._sessions(f"sessions/{words}", some)
+        for name, settings in DISTURBED.items():
+            yield from self._sessions(f"{name}/HAART test", test, settings)
+            yield from self._sessions(f"{name}/HAART", held_out, settings)
+        models = streams.held_out()
         for rest, name in ((0, "held out"), (60, "held out, rests at 60")):
-            yield f"streams/{name}", partial(self._streams, None, rest)
-        yield "streams/never met", partial(self._streams, self._fabric, 0)
+            yield f"streams/{name}", partial(self._streams, models, rest)
+        yield "streams/never met", partial(self._streams, dict.fromkeys(models, self._fabric), 0)
         if self._firm is not None:
             for hz, rate_hz in FIRM_RATES:
                 yield f"firm pad/{hz:g} Hz sent at {rate_hz:g}", partial(self._firm_pad, hz, rate_hz)
-        splits = {
-            "HAART test": self._test,
-            "HAART": self._haart,
-            "second study": self._second,
-            "third study": self._third_recordings,
-        }
-        for name, split in splits.items():
-            yield f"passing/{name}", partial(passing_figures, split)
-        yield "found after/HAART test", partial(delay_figures, self._test)
-        yield "found after/HAART", partial(delay_figures, self._haart)
-        yield "noise of one count/HAART", self._false
-        for name, settings in DISTURBED.items():
-            yield f"{name}/HAART test", partial(session_figures, self._test, settings)
-            yield f"{name}/HAART", partial(session_figures, self._haart, settings)
+        yield "found after/HAART test", partial(delay_figures, test, self._player)
+        yield "found after/HAART", partial(delay_figures, held_out, self._player)
+
+    def answers(self) -> Table:
+        """Yield the rows that need the whole pipeline."""
+        names = {"HAART test": TEST, "HAART": HELD_OUT, "second study": SECOND, "third study": THIRD}
+        for name, key in names.items():
+            yield f"passing/{name}", partial(passing_figures, self._splits[key])
         for name in ("HAART test", "HAART", "second study"):
-            yield f"changes/{name}", partial(self._changes, splits[name])
+            yield f"changes/{name}", partial(self._changes, self._splits[names[name]])
+        yield "noise of one count/HAART", self._false
 
-    def _false(self) -> Figures:
-        return {"false_in_10_min": false_in_10_min([(self._shipped, self._training)], play)}
+    def sensitivities(self) -> Table:
+        """Yield what each `touch.sensitivity` costs people held out."""
+        for level in SENSITIVITIES:
+            yield f"sensitivity/{level}", partial(self._sensitivity, TouchSettings(sensitivity=level))
 
-    def _streams(self, model: Classifier | None, rest: int) -> Figures:
-        return msgspec.structs.asdict(streams.measure(self._third, model or streams.held_out(), rest))
+    def _sessions(self, name: str, split: Split, settings: SessionSettings = PLAIN) -> Table:
+        yield name, partial(session_figures, split, settings, self._player)
+
+    def _streams(self, models: dict[str, Classifier], rest: int) -> Figures:
+        return msgspec.structs.asdict(streams.measure(self._third, models, rest, self._player))
 
     def _firm_pad(self, hz: float, rate_hz: float) -> Figures:
-        return msgspec.structs.asdict(firm_pad.measure(self._firm, self._shipped, hz, rate_hz))
+        ((shipped, _),) = self._splits[TEST]
+        return msgspec.structs.asdict(firm_pad.measure(self._firm, shipped, hz, rate_hz, self._player))
 
-    @staticmethod
-    def _changes(split: Split) -> Figures:
+    def _changes(self, split: Split) -> Figures:
         return msgspec.structs.asdict(changes.measure(split))
+
+    def _false(self) -> Figures:
+        ((shipped, _),) = self._splits[TEST]
+        everybody = [each for _, own in self._splits[HELD_OUT] for each in own]
+        return {"false_in_10_min": false_in_10_min([(shipped, everybody)], self._player)}
+
+    def _sensitivity(self, touch: TouchSettings) -> Figures:
+        split, settings = self._splits[HELD_OUT], PipelineSettings(touch=touch)
+        false = false_in_10_min(split, self._player, settings)
+        return {**delay_figures(split, self._player, settings), "false_with_noise": false}
+
+
+def sensitivity_table(results: Results) -> dict[str, str]:
+    """Return the table of docs/sessions.md that `detection` fills."""
+    found = {level: results.get(f"sensitivity/{level}") for level in SENSITIVITIES}
+    rows = [
+        (
+            level,
+            own["missed"],
+            own["late"],
+            f"{own['median_ms']:g} / {own['p90_ms']:g}",
+            own["false_with_noise"],
+        )
+        for level, own in found.items()
+    ]
+    headings = ("missed", "over 1 s late", "found after, median / p90 ms", "false with noise")
+    return {"sensitivity": table(("`touch.sensitivity`", *headings), rows)}
 
 
 def differences(now: Results, before: Results) -> Iterator[str]:
     """Yield a line for each row of which a figure differs."""
-    for key in now.find():
-        if before.has(key):
-            old, new = before.get(key), now.get(key)
-            changed = [
-                f"{name} {old[name]} -> {new[name]}" for name in new if name in old and old[name] != new[name]
-            ]
-            if changed:
-                yield f"{key}: {', '.join(changed)}"
+    for key in filter(before.has, now.find()):
+        old, new = before.get(key), now.get(key)
+        names = [name for name in new if name in old and old[name] != new[name]]
+        if names:
+            yield f"{key}: {', '.join(f'{name} {old[name]} -> {new[name]}' for name in names)}"
 
 
 def main(arguments: Sequence[str]) -> int:
     """Measure what is not stored yet, print what differs; returns 0."""
-    takes = ("haart", "second-study", "third-study")
-    parser = study_parser("tables", "Measures every figure of detection and of what is said in use.", *takes)
-    parser.add_argument("--firm-pad", type=Path, help="folder of the firm pad's recordings")
+    options = _options("tables", "Measures every figure of detection and of what is said in use.", arguments)
+    tables = Tables(options, play)
+    _measure(options, FILE, chain(tables.detection(), tables.answers()))
+    return 0
+
+
+def detection(arguments: Sequence[str]) -> int:
+    """Measure what the tracker alone decides, where it is not stored yet, and fill the page; returns 0."""
+    options = _options("detection", "Measures how well touches are detected.", arguments)
+    tables = Tables(options, detect)
+    found = ((name, partial(_only_found, figures)) for name, figures in tables.detection())
+    results = _measure(options, DETECTION_FILE, chain(found, tables.sensitivities()))
+    if not options.only:
+        fill(options.docs / "sessions.md", sensitivity_table(results))
+    return 0
+
+
+def _measure(options: argparse.Namespace, file: Path, rows: Table) -> Results:
+    results = Results(options.out or file)
+    results.measure(row for row in rows if row[0].startswith(options.only))
+    if options.against is not None:
+        sys.stdout.writelines(f"{line}\n" for line in differences(results, Results(options.against)))
+    return results
+
+
+def _only_found(figures: Callable[[], Figures]) -> Figures:
+    """Return the figures without those of answers, which the tracker alone does not give."""
+    return {name: figure for name, figure in figures().items() if name not in ANSWERS}
+
+
+def _options(name: str, what: str, arguments: Sequence[str]) -> argparse.Namespace:
+    parser = study_parser(name, what, *STUDIES, "docs", "weights", "firm-pad")
     parser.add_argument(
-        "--weights", type=Path, default=SHIPPED_MODEL.parent, help="folder of the model files"
+        "--out", type=Path, help="where to store the figures; model/studies/stored without it"
     )
-    parser.add_argument("--out", type=Path, default=STORED / "tables.json", help="where to store them")
     parser.add_argument("--against", type=Path, help="an older file to compare with")
     parser.add_argument("--only", default="", help="rows whose names begin with this")
-    chosen = parser.parse_args(arguments)
     # The daemon's log would report on every session.
     logging.disable()
-    results = Results(chosen.out)
-    results.measure(row for row in Tables(chosen).all() if row[0].startswith(chosen.only))
-    if chosen.against is not None:
-        sys.stdout.writelines(f"{line}\n" for line in differences(results, Results(chosen.against)))
-    return 0
+    return parser.parse_args(arguments)

@@ -3,9 +3,11 @@
 Source: Human-Animal Affective Robot Touch set, RTGC 2015, UBC SPIN lab.
 """
 
+import gzip
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TextIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +51,12 @@ def find(folder: Path, name: str, hint: str = "`python -m touchd.model.studies d
         if path.is_file():
             return path
     raise RecordingError(f"{folder}: neither {name} nor {name}.gz is there; {hint}")
+
+
+def open_table(folder: Path, name: str, hint: str) -> TextIO:
+    """Open a CSV file of the folder, packed or not; raises RecordingError as `find` does."""
+    path = find(folder, name, hint)
+    return gzip.open(path, "rt", newline="") if path.suffix == ".gz" else path.open(newline="")
 
 
 def without(recordings: Iterable[Recording], participants: Sequence[str]) -> list[Recording]:

@@ -5,7 +5,6 @@ Made Of?" (UIST 2024). Scans are laid on 8x8 taxels and on the 54 Hz grid by the
 """
 
 import csv
-import gzip
 from collections.abc import Collection
 from itertools import groupby
 from pathlib import Path
@@ -14,7 +13,7 @@ import numpy as np
 
 from touchd.drivers.pad.format import Layout, PadFormat
 from touchd.drivers.recording import Recording, on_grid
-from touchd.model.training.haart import find
+from touchd.model.training.haart import open_table
 
 FILE = "recordings.csv"
 PAD = PadFormat(framing="text", rows=6, columns=6)
@@ -28,8 +27,7 @@ def read(folder: Path, others: Collection[str] = ()) -> list[Recording]:
 
     others: further gestures to read, by the study's own names. Raises RecordingError without the file.
     """
-    path = find(folder, FILE, "name its folder: --third-study")
-    with gzip.open(path, "rt", newline="") if path.suffix == ".gz" else path.open(newline="") as file:
+    with open_table(folder, FILE, "name its folder: --third-study") as file:
         header, *rows = csv.reader(file)
     first_cell = header.index("c1")
     at = [header.index(key) for key in KEYS]

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from rigs.made_pad import MadePad, Scans, nothing, palm
@@ -12,11 +13,13 @@ import torch
 
 from touchd.drivers.frame import NO_TOUCH
 from touchd.drivers.recording import Recording, ideal_clock_ms
+from touchd.model.classifier import SHIPPED_MODEL
 from touchd.model.detector import Detector
 from touchd.model.training.detector import signals
 from touchd.model.training.detector.export import export
 from touchd.model.training.detector.network import DetectorNetwork
 from touchd.model.training.detector.pieces import PIECE_FRAMES, Composer, set_ups
+from touchd.model.training.detector.train import DetectorRecipe, DetectorSettings
 
 
 def test_the_file_answers_as_the_network(tmp_path: Path) -> None:
@@ -35,6 +38,12 @@ def test_the_file_answers_as_the_network(tmp_path: Path) -> None:
                 torch.from_numpy(row)[None, None], pad, hidden, torch.zeros(1, 1)
             )
         assert answer == pytest.approx(float(wanted), abs=1e-5)
+
+
+def test_the_recipe_is_that_of_the_shipped_detectors() -> None:
+    for name, settings in DetectorRecipe.read().jobs().items():
+        shipped = Detector.load(SHIPPED_MODEL.parent / name)
+        assert msgspec.convert(shipped.training, DetectorSettings) == settings
 
 
 def recording(gesture: str, scans: Scans) -> Recording:

@@ -13,20 +13,18 @@ from touchd.model.classifier import Classifier
 from touchd.model.studies.decision import (
     FILE,
     FRAMES,
-    HAART,
     LIMITS,
     Measured,
     Point,
     Streams,
     at_limit,
-    best_choice,
     choose,
     collect,
     draw,
-    figures_of,
     measure,
     tell,
 )
+from touchd.model.studies.folders import HELD_OUT
 from touchd.model.studies.simulated import simulate
 
 LABELS = ("notouch", "pat", "rub", "stroke")
@@ -90,15 +88,6 @@ def test_windows_are_answered_at_the_first_sure_frame(late: Streams) -> None:
     assert found.accuracy == 1.0
 
 
-def test_early_answers_become_the_default_only_where_right_and_early() -> None:
-    right = figures_of(streams_sure_from([10 + row % 5 for row in range(40)], 0.95))
-    wrong = figures_of(other_gesture(streams_sure_from([9] * 8, 0.95), slice(50)))
-    slow = figures_of(streams_sure_from([60] * 8, 0.95))
-    for others, choice in (({}, "when_sure"), ({"slow": slow}, "at_mark"), ({"other": wrong}, "at_mark")):
-        studies = {HAART: right, **others}
-        assert best_choice(Measured(studies=studies, never_met=(), challenge=(), fixed={})) == choice
-
-
 def test_a_real_network_follows_each_touch_frame_by_frame(classifier: Classifier) -> None:
     made = simulate([("notouch", 9.0), ("pat", 8.0), ("constant", 8.0)], 2)
     streams = collect([(classifier, made)], "made up")
@@ -128,16 +117,16 @@ def test_the_rule_picks_the_point_that_tells_early_most_often() -> None:
 
 def test_the_default_is_within_the_limits_of_the_rule(measured: Measured) -> None:
     assert measured.default.good
-    assert choose(measured.studies[HAART].curve).speak_above <= DecisionSettings().speak_above
+    assert choose(measured.studies[HELD_OUT].curve).speak_above <= DecisionSettings().speak_above
 
 
 def test_confidence_is_calibrated_at_every_stage(measured: Measured) -> None:
-    assert all(round(stage.calibration_error, 2) <= 0.05 for stage in measured.studies[HAART].stages)
+    assert all(round(stage.calibration_error, 2) <= 0.05 for stage in measured.studies[HELD_OUT].stages)
 
 
 def test_the_figure_is_drawn_from_the_figures(tmp_path: Path) -> None:
     few = streams_sure_from([28, 29, 30, 31], 0.9)
-    made = measure({HAART: few, "made up": few}, few, few, {54: 0.8, 144: 0.9})
+    made = measure({HELD_OUT: few, "made up": few}, few, few, {54: 0.8, 144: 0.9})
     assert [each.limit for each in made.challenge] == list(LIMITS)
     draw(made, tmp_path / "decision.png")
     assert (tmp_path / "decision.png").stat().st_size > 10_000

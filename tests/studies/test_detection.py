@@ -8,11 +8,10 @@ from touchd.daemon.path.tracker import SENSITIVITIES
 from touchd.drivers.frame import NO_TOUCH, Frame
 from touchd.drivers.recording import Recording, ideal_clock_ms
 from touchd.model.classifier import Classifier
-from touchd.model.studies.detection.compare import FILE, detect
-from touchd.model.studies.play import detector_for, frames_of, play
+from touchd.model.studies.play import detect, detector_for, play
 from touchd.model.studies.results import Results
-from touchd.model.studies.sessions.plan import SessionSettings, sessions
-from touchd.model.studies.sessions.score import judge, score
+from touchd.model.studies.tables import DETECTION_FILE as FILE
+from touchd.model.studies.tables import PLAIN, session_figures
 from touchd.model.training import haart
 from touchd.model.training.recipe import read_recipe
 from touchd.model.training.weights import FABRIC_MODEL, fold_path, left_out_split
@@ -67,10 +66,8 @@ def test_the_network_of_the_pad_never_met_has_such_a_detector() -> None:
 
 @needs_haart
 def test_the_stored_figures_hold_for_a_person(recordings: list[Recording]) -> None:
-    ((model, own),) = left_out_split(FABRIC_MODEL.parent, recordings)
-    played = sessions(own, SessionSettings())
-    result = score([judge(session, detect(frames_of(session.counts), model)) for session in played])
-    assert (result.missed, result.merged, result.false) == (0.0, 0.0, 0.0)
+    result = session_figures(left_out_split(FABRIC_MODEL.parent, recordings), PLAIN, detect)
+    assert (result["missed"], result["merged"], result["false"]) == (0.0, 0.0, 0.0)
 
 
 @needs_haart

@@ -5,9 +5,7 @@ import sys
 from collections.abc import Callable
 from itertools import product
 from pathlib import Path
-from typing import Any
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -15,21 +13,16 @@ pytest.importorskip("torch", reason="needs the extra `train`")
 
 from touchd.model.adapt.head import AdaptSettings
 from touchd.model.classifier import SHIPPED_MODEL
-from touchd.model.studies import accuracy, adapting, decision, new_pad, others, paper, speed
+from touchd.model.studies import accuracy, adapting, decision, new_pad, others, paper, speed, tables
 from touchd.model.studies.challenge import table as challenge
 from touchd.model.studies.checks.scores import read_scores
-from touchd.model.studies.detection import compare as detection
 from touchd.model.studies.marked import PLACE, PageError, fill, table
-from touchd.model.studies.results import Results, ResultsError
+from touchd.model.studies.results import Results, ResultsError, stored
 from touchd.model.studies.sessions import passing
 from touchd.model.training.recipe import read_recipe
 from touchd.model.training.weights import SCORES_NAME
 
 DOCS = Path(__file__).parents[2] / "docs"
-
-
-def stored(path: Path, kind: Any) -> Any:
-    return msgspec.json.decode(path.read_bytes(), type=kind)
 
 
 Tables = Callable[[], dict[str, str]]
@@ -52,7 +45,7 @@ PAGES: dict[str, Tables] = {
     },
     "speed": lambda: speed.tables(stored(speed.FILE, speed.Measured)),
     "sessions": lambda: {
-        **detection.tables(Results(detection.FILE)),
+        **tables.sensitivity_table(Results(tables.DETECTION_FILE)),
         **passing.tables(stored(passing.FILE, passing.Measured)),
     },
 }
@@ -62,10 +55,10 @@ PAGES: dict[str, Tables] = {
 def test_a_page_shows_the_stored_figures(name: str, tmp_path: Path) -> None:
     published, again = DOCS / f"{name}.md", tmp_path / "again.md"
     shutil.copy(published, again)
-    tables = PAGES[name]()
-    fill(again, tables)
+    shown = PAGES[name]()
+    fill(again, shown)
     assert again.read_text(encoding="utf-8") == published.read_text(encoding="utf-8")
-    assert {place for _, place, _ in PLACE.findall(published.read_text(encoding="utf-8"))} == set(tables)
+    assert {place for _, place, _ in PLACE.findall(published.read_text(encoding="utf-8"))} == set(shown)
 
 
 def test_adapting_was_measured_with_the_shipped_settings_on_everybody() -> None:

@@ -14,8 +14,8 @@ from touchd.drivers.recording import Recording, Selection, ideal_clock_ms, read_
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 from touchd.model.studies.play import frames_of, play
 from touchd.model.studies.sessions.plan import PlannedSession, SessionSettings, sessions
-from touchd.model.studies.sessions.report import measure
 from touchd.model.studies.sessions.score import judge, score
+from touchd.model.studies.tables import session_figures
 
 
 def recording(gesture: str, scans: Scans, shift: float = 0.0) -> Recording:
@@ -85,9 +85,9 @@ def test_a_touch_that_ends_late_is_scored_as_open() -> None:
 def test_touches_of_the_second_study_stay_apart() -> None:
     path = Path(SECOND_STUDY or "") / "robot-pad.csv.gz"
     recordings = read_recordings(path, Selection(participants=("R04", "R12", "R14")))
-    result = measure(recordings, SessionSettings(), Classifier.load())
-    assert result.missed <= 8.0
-    assert result.merged + result.split <= 12.0
+    result = session_figures([(Classifier.load(), recordings)], SessionSettings())
+    assert result["missed"] <= 8.0
+    assert result["merged"] + result["split"] <= 12.0
 
 
 @needs_second_study
@@ -97,12 +97,12 @@ def test_a_breathing_robots_answers_are_as_measured(tmp_path: Path) -> None:
     moving = "(R04|R06),dynamic,"
     recordings = read_recordings(recordings_of("robot-pad.csv", moving, tmp_path, SECOND_STUDY))
     never_met_them = SHIPPED_MODEL.parent / "left_out" / "P4-R04-R06-S03-S10.onnx"
-    result = measure(recordings, SessionSettings(), Classifier.load(never_met_them))
-    assert result.n == touches
-    assert (result.missed, result.merged, result.split) == (missed, 0, split)
-    assert (result.open, result.false) == (0, 0)
+    result = session_figures([(Classifier.load(never_met_them), recordings)], SessionSettings())
+    assert result["n"] == touches
+    assert (result["missed"], result["merged"], result["split"]) == (missed, 0, split)
+    assert (result["open"], result["false"]) == (0, 0)
     # Another processor's rounding may change a single answer.
-    assert result.final == pytest.approx(final, abs=100 / touches + 0.1)
+    assert result["final"] == pytest.approx(final, abs=100 / touches + 0.1)
 
 
 def test_quiet_alone_has_no_false_touch() -> None:

@@ -41,7 +41,7 @@ def test_streams_are_scored_by_what_the_daemon_says(tmp_path: Path, classifier: 
     rows = [row for number, (gesture, levels) in enumerate(made) for row in stream(number, gesture, levels)]
     with (tmp_path / "streams.csv").open("w", newline="") as file:
         csv.writer(file).writerows([names, *rows])
-    assert measure(tmp_path, classifier) == StreamScore(
+    assert measure(tmp_path, {"S01": classifier}) == StreamScore(
         touched=2, missed=0, several=1, named=2, right=2, rest=2, false=1
     )
 

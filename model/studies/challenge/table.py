@@ -29,7 +29,7 @@ from touchd.model.studies.checks import evaluate
 from touchd.model.studies.folders import study_parser
 from touchd.model.studies.marked import fill, table
 from touchd.model.studies.published import TABLE3
-from touchd.model.studies.results import STORED, Results, percent
+from touchd.model.studies.results import STORED, Results, mean_percent
 from touchd.model.training import haart, metrics
 from touchd.model.training.haart import GESTURES, PUBLISHED_FRAMES, Windows
 from touchd.model.training.metrics import Floats, Labels
@@ -300,7 +300,7 @@ def tables(results: Results) -> dict[str, str]:
         (
             f"{system.researchers}, {system.algorithm}",
             system.published or "",
-            *(percent(scores_of(results, system.key, frames)) for frames in SHOWN),
+            *(mean_percent(scores_of(results, system.key, frames)) for frames in SHOWN),
         )
         for system in SYSTEMS
     ]

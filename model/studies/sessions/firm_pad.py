@@ -7,7 +7,6 @@ they marked any in that recording.
 """
 
 import csv
-import gzip
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby, pairwise
@@ -18,19 +17,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.daemon.app.config import SensorSettings, Settings
-from touchd.daemon.path.events import Event, epoch_s
-from touchd.daemon.path.pipeline import Clock, Pipeline
+from touchd.daemon.path.events import Event, TouchBegan, epoch_s
 from touchd.drivers.frame import Frame
 from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.parser import FrameParser
 from touchd.model.classifier import Classifier
-from touchd.model.studies.play import detector_for
+from touchd.model.studies.play import Player, play
 from touchd.model.studies.sessions.score import detected_in
-from touchd.model.training.haart import find
+from touchd.model.training.haart import open_table
 
 FILE = "streams.csv"
 ROWS, COLUMNS = 19, 27
 PAD = PadFormat(framing="text", rows=ROWS, columns=COLUMNS, skip=1, clock="ms", full_scale=1023)
+SETTINGS = Settings(sensor=SensorSettings(format=PAD)).pipeline
 START_MS = 5000
 # Above the recording's own rest, 10th percentile: counts of a cell, and of the sum, that a hand makes.
 CELL_COUNTS, LEAST_ON_COUNTS, LEAST_OFF_COUNTS, LEAST_SPAN_COUNTS = 3, 800, 300, 1000
@@ -69,8 +68,7 @@ Span = tuple[float, float]
 
 def read(folder: Path) -> Iterator[FirmStream]:
     """Yield the recordings; raises RecordingError without the file."""
-    path = find(folder, FILE, "name its folder: --firm-pad")
-    with gzip.open(path, "rt", newline="") if path.suffix == ".gz" else path.open(newline="") as file:
+    with open_table(folder, FILE, "name its folder: --firm-pad") as file:
         rows = csv.reader(file)
         next(rows)
         for name, group in groupby(rows, lambda row: row[0]):
@@ -117,19 +115,6 @@ def _joined(
         else:
             touches.append((first, last))
     return touches
-
-
-def play(stream: FirmStream, model: Classifier, hz: float, rate_hz: float) -> list[Event]:
-    """Return the events of a recording that ran at `hz`, sent at `rate_hz`; its first line is at 0 s."""
-    events: list[Event] = []
-    now_s = 0.0
-    settings = Settings(sensor=SensorSettings(format=PAD))
-    clock = Clock(lambda: now_s, lambda: now_s)
-    pipeline = Pipeline(settings.pipeline, model, events.append, clock, detector=detector_for(model))
-    for frame in frames_of(stream, hz, rate_hz):
-        now_s = frame.host_s
-        pipeline.on_frame(frame)
-    return events
 
 
 def frames_of(stream: FirmStream, hz: float, rate_hz: float) -> Iterator[Frame]:
@@ -181,21 +166,17 @@ def score(stream: FirmStream, events: Sequence[Event], hz: float) -> FirmScore:
 
 def _found(events: Sequence[Event], length_s: float) -> list[Span]:
     """Return when each touch was reported to begin and to end, by the clock."""
-    began = [epoch_s(event.time) for event in events if type(event).__name__ == "TouchBegan"]
+    began = [epoch_s(event.time) for event in events if isinstance(event, TouchBegan)]
     over = [each.over_ms / 1000.0 for each in detected_in(events)]
     return [(first, min(last, length_s + 1)) for first, last in zip(began, over, strict=True)]
 
 
-def together(scores: Sequence[FirmScore]) -> FirmScore:
-    """Return the sum of each count."""
+def measure(folder: Path, model: Classifier, hz: float, rate_hz: float, player: Player = play) -> FirmScore:
+    """Play every recording, and return the sum of each count."""
+    scores = [score(each, player(frames_of(each, hz, rate_hz), model, SETTINGS), hz) for each in read(folder)]
     return FirmScore(
         **{name: sum(getattr(each, name) for each in scores) for name in FirmScore.__struct_fields__}
     )
-
-
-def measure(folder: Path, model: Classifier, hz: float, rate_hz: float) -> FirmScore:
-    """Play every recording, and score them together."""
-    return together([score(each, play(each, model, hz, rate_hz), hz) for each in read(folder)])
 
 
 def _runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:

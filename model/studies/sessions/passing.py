@@ -14,7 +14,6 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -24,18 +23,16 @@ from touchd.daemon.path.decide import FINAL_ABOVE
 from touchd.daemon.path.events import UNCERTAIN, Event, Prediction, epoch_s
 from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT, NO_TOUCH, Counts
 from touchd.drivers.recording import Recording, set_up
-from touchd.model.classifier import SHIPPED_MODEL, Classifier
-from touchd.model.studies.folders import study_parser
+from touchd.model.classifier import Classifier
+from touchd.model.studies.folders import STUDIES, TEST, THIRD, folders_of, never_seen, study_parser
 from touchd.model.studies.marked import fill, table
 from touchd.model.studies.play import frames_of, play
-from touchd.model.studies.results import STORED
+from touchd.model.studies.results import STORED, keep
 from touchd.model.studies.sessions import changes
 from touchd.model.studies.sessions.changes import ChangeScore
 from touchd.model.studies.sessions.score import FRAME_MS, Detected, detected_in
-from touchd.model.training import haart, second_study, third_study
 from touchd.model.training.contacts import LEAVES, contacts, lightest, shift_of_rest
 from touchd.model.training.studies import study_of
-from touchd.model.training.weights import left_out_split
 
 FILE = STORED / "passing.json"
 LIMITS = (0.3, FINAL_ABOVE, 0.5)
@@ -240,15 +237,10 @@ def score(fates: Sequence[Fate]) -> PassingScore:
 
 
 def measure(recordings: Sequence[Recording], model: Classifier) -> list[Fate]:
-    """Play a session for each person and condition."""
-    return played(sessions(recordings), model)
-
-
-def played(planned: Iterable[PassingSession], model: Classifier) -> list[Fate]:
-    """Play sessions; return what became of their touches."""
+    """Play a session for each person and condition; return what became of the touches."""
     return [
         fate
-        for session in planned
+        for session in sessions(recordings)
         for fate in judge(session, play(frames_of(session.counts), model, flush=True))
     ]
 
@@ -342,33 +334,19 @@ def curve_table(measured: Measured) -> dict[str, str]:
 
 def main(arguments: Sequence[str]) -> int:
     """Measure touches in passing and changes, store the figures and fill the pages; returns 0."""
-    takes = ("haart", "second-study", "third-study", "docs")
     what = "Plays touches of a second or less, and hands that change their gesture."
-    parser = study_parser("passing", what, *takes)
-    parser.add_argument(
-        "--weights", type=Path, default=SHIPPED_MODEL.parent, help="folder of the model files"
-    )
-    chosen = parser.parse_args(arguments)
-    shipped = Classifier.load(chosen.weights / SHIPPED_MODEL.name)
-    test = haart.realigned(haart.read_test(chosen.haart))
-    training = haart.realigned(haart.read_training(chosen.haart))
-    second = second_study.scored(second_study.read(chosen.second_study))
-    third = third_study.read(chosen.third_study)
-    splits = {
-        "HAART test": [(shipped, test)],
-        "HAART held out": left_out_split(chosen.weights, training),
-        "second study": left_out_split(chosen.weights, second),
-        "third study": left_out_split(chosen.weights, third),
-    }
+    options = study_parser("passing", what, *STUDIES, "docs", "weights").parse_args(arguments)
     passing: dict[str, Row] = {}
     changed: dict[str, ChangeScore] = {}
-    for name, split in splits.items():
+    people = never_seen(folders_of(options), options.weights)
+    for name, split in people.items():
         passing[name] = row_of([fate for model, own in split for fate in measure(own, model)])
-        if name != "third study":
+        if name != THIRD:
             changed[name] = changes.measure(split)
         sys.stderr.write(f"{name}: {msgspec.json.encode(passing[name].scores['mix']).decode()}\n")
+    ((shipped, _),) = people[TEST]
     measured = Measured(model=shipped.name, passing=passing, changes=changed)
-    FILE.write_bytes(msgspec.json.format(msgspec.json.encode(measured)) + b"\n")
-    fill(chosen.docs / "sessions.md", tables(measured))
-    fill(chosen.docs / "decision.md", curve_table(measured))
+    keep(FILE, measured)
+    fill(options.docs / "sessions.md", tables(measured))
+    fill(options.docs / "decision.md", curve_table(measured))
     return 0

@@ -24,7 +24,7 @@ class SessionScore(msgspec.Struct, frozen=True, kw_only=True):
 
     missed: not detected. merged: detected as one with another. split: detected as several.
     early, revised, final: right at that stage. last, first: right in the last, first answer told.
-    harmful: told right, then wrong. late: told again after final. open: not ended 2 s after the hand left.
+    harmful: told right, then wrong. open: not ended 2 s after the hand left.
     false: touches in ten minutes of quiet.
     t_first: mean seconds until the first answer told. n: touches made.
     """
@@ -38,7 +38,6 @@ class SessionScore(msgspec.Struct, frozen=True, kw_only=True):
     last: float
     first: float
     harmful: float
-    late: float
     open: float
     false: float
     t_first: float
@@ -125,7 +124,6 @@ def score(played: Sequence[Played]) -> SessionScore:
         last=percent(lambda fate: fate.told[-1:] == [fate.gesture]),
         first=percent(lambda fate: fate.told[:1] == [fate.gesture]),
         harmful=percent(lambda fate: any(a == fate.gesture != b for a, b in pairwise(fate.told))),
-        late=percent(lambda fate: any(a.told and a.stage == "ongoing" for a in fate.answers)),
         false=round(10.0 * sum(one.false for one in played) / sum(one.quiet_min for one in played), 2),
         t_first=round(float(np.mean(first_s)), 3) if first_s else 99.0,
         n=len(fates),

@@ -1,15 +1,11 @@
-"""The third study's uncut recordings, played as its pad sends them: `python -m touchd.model.studies streams`.
+"""The third study's uncut recordings, played as its pad sends them.
 
 Each row becomes a line of text, the pad's clock and 36 numbers, and goes through the daemon's parser and
 pipeline with a network that never saw the person. Before the first row the pad rests for two seconds.
-`--rest` makes it a pad that rests far from 0.
 """
 
 import csv
-import gzip
-import logging
-import sys
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import cycle, groupby, islice
 from pathlib import Path
@@ -19,14 +15,12 @@ import numpy as np
 
 from touchd.daemon.app.config import SceneSettings, SensorSettings, Settings
 from touchd.daemon.path.events import UNCERTAIN, Event, Prediction, TouchBegan, TouchEnded
-from touchd.daemon.path.pipeline import Clock, Pipeline
 from touchd.drivers.frame import NO_TOUCH, Frame
 from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.parser import FrameParser
-from touchd.model.classifier import SHIPPED_MODEL, Classifier, load_own
-from touchd.model.studies.folders import study_parser
-from touchd.model.studies.play import detector_for
-from touchd.model.training.haart import find
+from touchd.model.classifier import SHIPPED_MODEL, Classifier
+from touchd.model.studies.play import Player, play
+from touchd.model.training.haart import open_table
 from touchd.model.training.weights import LEFT_OUT_FOLDER
 
 FILE = "streams.csv"
@@ -34,6 +28,8 @@ PAD = PadFormat(framing="text", rows=6, columns=6, skip=1, clock="ms")
 NAMES = {name: name for name in ("constant", NO_TOUCH, "pat", "rub", "scratch")} | {
     "outward_caress": "stroke"
 }
+SCENE = SceneSettings(gestures=tuple(sorted({*NAMES.values()} - {NO_TOUCH})))
+SETTINGS = Settings(sensor=SensorSettings(format=PAD), scene=SCENE).pipeline
 REST_S, RATE_HZ, REST_ROWS = 2.0, 45, 8
 
 
@@ -71,8 +67,7 @@ def read(folder: Path, rest_counts: int = 0, others: Collection[str] = ()) -> It
     others: further gestures to read.
     """
     names = {**NAMES, **{name: name for name in others}}
-    path = find(folder, FILE, "name its folder: --third-study")
-    with gzip.open(path, "rt", newline="") if path.suffix == ".gz" else path.open(newline="") as file:
+    with open_table(folder, FILE, "name its folder: --third-study") as file:
         for (_, participant, gesture), group in groupby(
             csv.DictReader(file), lambda row: (row["stream"], row["participant"], row["gesture"])
         ):
@@ -98,21 +93,6 @@ def _stream(participant: str, gesture: str, rows: Sequence[dict[str, str]], rest
         tuple((now_s, f"{round(1000 * now_s)},{line}\n".encode()) for now_s, line in timed),
         (labelled_s[0], labelled_s[-1]) if is_touched else None,
     )
-
-
-def play(stream: Stream, model: Classifier) -> list[Event]:
-    """Return the daemon's events; its clock shows each line's arrival."""
-    scene = SceneSettings(gestures=tuple(sorted({*NAMES.values()} - {NO_TOUCH})))
-    settings = Settings(sensor=SensorSettings(format=PAD), scene=scene)
-    events: list[Event] = []
-    now_s = 0.0
-    clock = Clock(lambda: now_s, lambda: now_s)
-    pipeline = Pipeline(settings.pipeline, model, events.append, clock, detector=detector_for(model))
-    for frame in frames_of(stream):
-        now_s = frame.host_s
-        pipeline.on_frame(frame)
-    pipeline.flush()
-    return events
 
 
 def frames_of(stream: Stream) -> Iterator[Frame]:
@@ -153,11 +133,13 @@ def _told(events: Sequence[Event], touches: set[int]) -> list[str]:
     return [answer.gesture for answer in answers if answer.told and answer.gesture != UNCERTAIN]
 
 
-def measure(folder: Path, models: dict[str, Classifier] | Classifier, rest_counts: int = 0) -> StreamScore:
+def measure(
+    folder: Path, models: Mapping[str, Classifier], rest_counts: int = 0, player: Player = play
+) -> StreamScore:
     """Play every stream with the model of its person, and score them together."""
     return score(
         [
-            (stream, play(stream, models if isinstance(models, Classifier) else models[stream.participant]))
+            (stream, player(frames_of(stream), models[stream.participant], SETTINGS, flush=True))
             for stream in read(folder, rest_counts)
         ]
     )
@@ -165,28 +147,6 @@ def measure(folder: Path, models: dict[str, Classifier] | Classifier, rest_count
 
 def held_out() -> dict[str, Classifier]:
     """Return, for each participant, the network of the fold that never saw this person."""
-    models = {
-        path: Classifier.load(path)
-        for path in sorted((SHIPPED_MODEL.parent / LEFT_OUT_FOLDER).glob("*.onnx"))
-    }
+    paths = sorted((SHIPPED_MODEL.parent / LEFT_OUT_FOLDER).glob("*.onnx"))
+    models = {path: Classifier.load(path) for path in paths}
     return {name: model for path, model in models.items() for name in path.stem.split("-")}
-
-
-def main(arguments: Sequence[str]) -> int:
-    """Print the scores; returns 0."""
-    parser = study_parser(
-        "streams", "Plays the third study's uncut recordings as its pad sends them.", "third-study"
-    )
-    parser.add_argument(
-        "--model", type=Path, help="an ONNX file; without it, networks that never saw the person"
-    )
-    parser.add_argument(
-        "--rest", type=int, default=0, metavar="COUNTS", help="how far from 0 the pad rests (%(default)s)"
-    )
-    chosen = parser.parse_args(arguments)
-    # Silence the daemon's log, which would report on every stream.
-    logging.disable()
-    models = load_own(chosen.model) if chosen.model else held_out()
-    result = measure(chosen.third_study, models, chosen.rest)
-    sys.stdout.write(f"{msgspec.json.encode(result).decode()}\n")
-    return 0

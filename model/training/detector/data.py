@@ -1,7 +1,6 @@
 """The recordings that the detector learns from, without the people who are held out."""
 
 import csv
-import gzip
 from collections.abc import Collection
 from itertools import groupby
 from pathlib import Path
@@ -13,25 +12,10 @@ from touchd.drivers.recording import Recording, on_grid
 from touchd.model.training import third_study
 from touchd.model.training.detector.pieces import Composer, SetUp, Streamed, set_ups
 from touchd.model.training.detector.train import DetectorSettings
-from touchd.model.training.haart import find, without
+from touchd.model.training.haart import open_table, without
 from touchd.model.training.studies import Folders
 
 STREAMS = "streams.csv"
-# Gestures of the third study that touchd has no name for are touches all the same.
-OTHERS = (
-    "pinch",
-    "poke",
-    "twist",
-    "knead",
-    "massage",
-    "fist",
-    "karate",
-    "type",
-    "press",
-    "tap",
-    "drag",
-    "slide",
-)
 
 
 def composer(folders: Folders, settings: DetectorSettings) -> Composer:
@@ -49,10 +33,9 @@ def composer(folders: Folders, settings: DetectorSettings) -> Composer:
 
 def uncut(folder: Path, left_out: Collection[str]) -> list[Streamed]:
     """Return the third study's uncut recordings of everybody else, on the 54 Hz grid."""
-    path = find(folder, STREAMS, "name its folder: --third-study")
     layout = Layout(third_study.PAD)
     found = []
-    with gzip.open(path, "rt", newline="") if path.suffix == ".gz" else path.open(newline="") as file:
+    with open_table(folder, STREAMS, "name its folder: --third-study") as file:
         for (_, participant), group in groupby(
             csv.DictReader(file), lambda row: (row["stream"], row["participant"])
         ):

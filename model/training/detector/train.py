@@ -8,6 +8,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import torch
+import yaml
 from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
@@ -15,19 +16,19 @@ from tqdm import tqdm
 
 from touchd.drivers.frame import FRAME_RATE_HZ
 from touchd.drivers.whole_file import whole_file
-from touchd.model.adapt.optimise import learning_rate_at
-from touchd.model.detector import BEGIN_FRAMES, GOES_ON, LIKELY, REST_FRAMES, SURE
+from touchd.model.adapt.optimise import GRADIENT_LIMIT, learning_rate_at
+from touchd.model.detector import BEGIN_FRAMES, GOES_ON, LIKELY, REST_FRAMES, SHIPPED_DETECTOR, SURE
 from touchd.model.training.detector import signals
 from touchd.model.training.detector.network import DetectorNetwork
 from touchd.model.training.detector.pieces import Composer, Piece
 from touchd.model.training.detector.signals import Pad
 
+RECIPE = Path(__file__).with_name("recipe.yaml")
 CHECKPOINT_NAME = "detector.pt"
 SAVED_EVERY_S = 60.0
 QUIET_FRAMES = round(0.8 * FRAME_RATE_HZ)
 # While the network knows nothing yet, rest follows the true touches; then the network's own answers.
 TEACHER_TOUCHED, TEACHER_UNTOUCHED = 0.97, 0.03
-GRADIENT_LIMIT = 1.0
 Ask = Callable[[int, Tensor, Pad], Tensor]
 """From the frame's number, its counts (B, 1, 64) and what is known of the pad to probabilities (B, 1)."""
 
@@ -45,6 +46,37 @@ class DetectorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     own_answers_from: float = 0.6
     """Share of the steps after which rest follows the network's own answers."""
     average_decay: float = 0.99
+
+
+class DetectorRecipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The detectors to train; folds: people whom one of them never sees."""
+
+    name: str
+    seed: int
+    steps: int
+    batch: int
+    learning_rate: float
+    folds: tuple[tuple[str, ...], ...]
+
+    @classmethod
+    def read(cls) -> "DetectorRecipe":
+        """Return the shipped detectors' recipe."""
+        return msgspec.convert(yaml.safe_load(RECIPE.read_text(encoding="utf-8")), cls)
+
+    def jobs(self) -> dict[Path, DetectorSettings]:
+        """Return the settings of each detector by its path in the folder of the model files."""
+        base = DetectorSettings(
+            name=self.name,
+            seed=self.seed,
+            steps=self.steps,
+            batch=self.batch,
+            learning_rate=self.learning_rate,
+        )
+        others = {"fabric": msgspec.structs.replace(base, left_out_study="third")}
+        for number, people in enumerate(self.folds, 1):
+            others[f"fold{number}"] = msgspec.structs.replace(base, left_out=people)
+        beside = {Path("detector", f"{name}.onnx"): settings for name, settings in others.items()}
+        return {Path(SHIPPED_DETECTOR.name): base, **beside}
 
 
 def train(composer: Composer, settings: DetectorSettings, folder: Path) -> DetectorNetwork:

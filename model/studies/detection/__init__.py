@@ -1,1 +1,0 @@
-"""Touches detected by a network, beside the daemon's rules."""
