@@ -1,13 +1,11 @@
 """Export: a trained network and its temperatures into one ONNX file that takes raw counts."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import msgspec
 import onnx
 import torch
-from onnxscript import opset20 as op
-from onnxscript.onnx_types import FLOAT, INT64
 from torch import Tensor, nn
 
 from touchd.drivers.frame import COLUMNS, ROWS
@@ -84,7 +82,7 @@ def export(network: TGC, metadata: ModelMetadata, path: Path) -> None:
         _Step(calibrated).eval(),
         (torch.zeros(2, 144, ROWS, COLUMNS), *start._replace(memory=memory)),
         dynamo=True,
-        custom_translation_table={torch.ops.aten.index.Tensor: _gather},
+        custom_translation_table={torch.ops.aten.index.Tensor: _gather()},
         verbose=False,
         opset_version=OPSET,
         input_names=["counts", *names],
@@ -123,10 +121,17 @@ def _describe(proto: onnx.ModelProto, metadata: ModelMetadata, start: dict[str, 
     entry.key, entry.value = METADATA_KEY, msgspec.json.encode(metadata).decode()
 
 
-def _gather(x: FLOAT, indices: Sequence[INT64]) -> FLOAT:
-    """Export x[index] and x[:, index] as one Gather, where the exporter would write four nodes."""
-    gathered: FLOAT = op.Gather(x, indices[-1], axis=len(indices) - 1)
-    return gathered
+def _gather() -> Callable[..., object]:
+    """Return what exports x[index] and x[:, index] as one Gather; the exporter would write four nodes."""
+    # Takes a second to import, and only an export needs it.
+    from onnxscript import opset20 as op
+    from onnxscript.onnx_types import FLOAT, INT64
+
+    def gather(x: FLOAT, indices: Sequence[INT64]) -> FLOAT:
+        gathered: FLOAT = op.Gather(x, indices[-1], axis=len(indices) - 1)
+        return gathered
+
+    return gather
 
 
 def _flat(state: TGCState) -> tuple[Tensor, ...]:
