@@ -29,7 +29,7 @@ COMMANDS = {
     "record": "guides you through making recordings",
     "teach": "records your gestures and adapts the model, in five minutes",
     "train": "adapts the model to recordings of your own",
-    "plot": "draws recordings, or a journal, as a picture",
+    "plot": "draws recordings as a picture",
     "convert": "writes a journal as CSV, a journal or a recording as MCAP",
     "config": "prints an example configuration, every setting explained",
     "docs": "prints a page of the documentation",

@@ -1,15 +1,16 @@
-"""Pictures of recordings, and of the touches of a journal, with their answers."""
+"""Pictures of recordings: pressure, touches, answers, mean pads."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import cycle, pairwise
 from pathlib import Path
+from typing import TypeAlias
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure, SubFigure
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from touchd.daemon.app.config import Settings
@@ -35,8 +36,9 @@ mpl.rc("axes.spines", top=False, right=False)
 mpl.rc("grid", color=PALE)
 mpl.rc("xtick", color=QUIET_INK, labelsize=8)
 mpl.rc("ytick", color=QUIET_INK, labelsize=8)
+Colours: TypeAlias = Mapping[str, str]
 # Okabe and Ito's palette for colour-blind people; OTHER_COLOURS are for a lab's own gestures.
-COLOURS: Mapping[str, str] = {
+COLOURS: Colours = {
     "constant": "#0072b2",
     "pat": "#e69f00",
     "rub": "#009e73",
@@ -49,10 +51,8 @@ COLOURS: Mapping[str, str] = {
 }
 OTHER_COLOURS = ("#6a4c93", "#8c564b", "#b5a800", "#3d405b")
 # In inches, and seconds.
-WIDTH, TITLE, ROW, PADS, TOUCH = 12.0, 0.8, 2.5, 2.0, 0.3
+WIDTH, TITLE, ROW, PADS = 12.0, 0.8, 2.5, 2.0
 ROW_S, LONGEST_S = 24.0, 300.0
-# A touch's answers in the order in which they came; those between the third and the last are not shown.
-COLUMNS = ("first", "second", "third", "last")
 LEGEND = "filled: sent to the robot    red: another gesture was performed    grey: a touch was detected"
 LEAST_PADS, MOST_PADS = 4, 7
 LIGHTEST_FRAMES = 9
@@ -64,18 +64,10 @@ class PlotError(TouchdError):
     """A picture cannot be made; the message says what to do."""
 
 
-def colour_of(gesture: str, gestures: Iterable[str]) -> str:
-    """Return the colour of a gesture. gestures: all those in the picture."""
-    if gesture in COLOURS:
-        return COLOURS[gesture]
-    others = sorted(set(gestures) - COLOURS.keys())
-    return OTHER_COLOURS[others.index(gesture) % len(OTHER_COLOURS)]
-
-
-def new_figure(height_inches: float, title: str) -> Figure:
-    figure = Figure(figsize=(WIDTH, height_inches), layout="constrained")
-    figure.suptitle(title)
-    return figure
+def colours_of(gestures: Iterable[str]) -> dict[str, str]:
+    """Return a colour for each gesture of a picture."""
+    own = sorted(set(gestures) - COLOURS.keys())
+    return {**COLOURS, **dict(zip(own, cycle(OTHER_COLOURS), strict=False))}
 
 
 def check_format(path: Path) -> None:
@@ -88,63 +80,6 @@ def save(figure: Figure, path: Path) -> None:
     """Write a figure in the format that the suffix names; raises PlotError."""
     with os_errors_as(PlotError, f"{path}: cannot be written", "name another file with -o"):
         figure.savefig(path)
-
-
-def draw_answer(
-    axes: Axes, at: tuple[float, float], answer: Prediction, colour: str, when: str = "", wrong: bool = False
-) -> None:
-    """Draw an answer, filled if it was sent to the robot, and `when` it came."""
-    inside = colour if answer.told else "white"
-    axes.plot(*at, "o", markeredgecolor=colour, markerfacecolor=inside, clip_on=False, zorder=3)
-    words = f"{answer.gesture} {answer.confidence:.0%}" if answer.gesture != UNCERTAIN else UNCERTAIN
-    axes.annotate(
-        f"{words}{when}",
-        at,
-        xytext=(6, 0),
-        textcoords="offset points",
-        va="center",
-        fontsize=7.5,
-        color="#c00000" if wrong else INK,
-        fontstyle="italic" if wrong else "normal",
-        annotation_clip=False,
-    )
-
-
-def draw_lanes(axes: Axes) -> None:
-    """Draw a line at each tick and no frame."""
-    axes.grid(axis="y")
-    axes.spines[:].set_visible(False)
-    axes.tick_params(length=0)
-
-
-def draw_touches(touches: Sequence[ReportedTouch], title: str) -> Figure:
-    """Draw touches, the oldest at the top; raises PlotError if there are none."""
-    if not touches:
-        raise PlotError(f"{title}: holds no touch yet")
-    gestures = {answer.gesture for touch in touches for answer in touch.predictions}
-    figure = new_figure(TITLE + TOUCH * (len(touches) + 1), f"{title}: the last touches ({len(touches)})")
-    axes = figure.subplots()
-    for row, touch in enumerate(touches):
-        shown = touch.predictions[: len(COLUMNS) - 1] + touch.predictions[len(COLUMNS) - 1 :][-1:]
-        for column, answer in enumerate(shown):
-            colour, when = colour_of(answer.gesture, gestures), f", {answer.elapsed_s:.3g} s"
-            draw_answer(axes, (column, row), answer, colour, when)
-    axes.set_xlim(-0.15, len(COLUMNS) - 0.2)
-    axes.set_xticks(range(len(COLUMNS)), COLUMNS, ha="left")
-    axes.set_ylim(len(touches) - 0.4, -0.6)
-    several = len({touch.began.pad for touch in touches}) > 1
-    axes.set_yticks(range(len(touches)), [_named(touch, several) for touch in touches])
-    axes.set_xlabel("answers; filled: sent to the robot")
-    draw_lanes(axes)
-    return figure
-
-
-def _named(touch: ReportedTouch, with_pad: bool) -> str:
-    """Return when a touch began, its number, and how it ended."""
-    began, ended = touch.began, touch.ended
-    pad = f"{began.pad}, " if with_pad else ""
-    end = "not over" if ended is None else f"{ended.gesture}, {ended.frames / FRAME_RATE_HZ:.1f} s"
-    return f"{began.time[:10]} {began.time[11:19]}   {pad}touch {began.touch}: {end}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,28 +172,31 @@ def _rise(stream: Stream, restarts: NDArray[np.int64]) -> NDArray[np.float64]:
 
 def draw_recording(traced: Trace, title: str) -> Figure:
     """Draw pressure over time, detected touches, answers, mean pads."""
-    gestures = sorted({span.gesture for span in traced.stream.spans} - {NO_TOUCH})
+    recorded = {span.gesture for span in traced.stream.spans}
+    answered = {answer.gesture for touch in traced.touches for answer in touch.predictions}
+    gestures, colours = sorted(recorded - {NO_TOUCH}), colours_of(recorded | answered)
     rows = traced.rows()
     columns = min(MOST_PADS, max(LEAST_PADS, len(gestures)))
     pad_rows = math.ceil(len(gestures) / columns)
     heights = [ROW * len(rows), *([PADS * pad_rows] if gestures else [])]
-    figure = new_figure(sum(heights) + TITLE, title)
+    figure = Figure(figsize=(WIDTH, sum(heights) + TITLE), layout="constrained")
+    figure.suptitle(title)
     parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
     axes = parts[0].subplots(2 * len(rows), 1, squeeze=False, height_ratios=[1.0, 1.6] * len(rows))[:, 0]
     for row, (begin_s, end_s) in enumerate(rows):
         answers, pressure = axes[2 * row : 2 * row + 2]
-        _draw_answers(answers, traced, gestures, begin_s, end_s)
-        _draw_pressure(pressure, traced, gestures, begin_s, end_s)
+        _draw_answers(answers, traced, colours, begin_s, end_s)
+        _draw_pressure(pressure, traced, colours, begin_s, end_s)
         for part in (answers, pressure):
             part.set_xlim(begin_s, end_s)
     axes[0].set_title(LEGEND, loc="right")
     axes[-1].set_xlabel("seconds")
     if gestures:
-        _draw_pads(parts[1], traced, gestures, pad_rows, columns)
+        _draw_pads(parts[1].subplots(pad_rows, columns, squeeze=False).ravel(), traced, gestures, colours)
     return figure
 
 
-def _draw_pressure(axes: Axes, traced: Trace, gestures: Sequence[str], begin_s: float, end_s: float) -> None:
+def _draw_pressure(axes: Axes, traced: Trace, colours: Colours, begin_s: float, end_s: float) -> None:
     """Draw the total pressure in the colour of the recorded gesture, and shade detected touches."""
     first, last = np.searchsorted(traced.time_s, [begin_s, end_s]).tolist()
     load = traced.rise.sum(axis=(1, 2))
@@ -271,7 +209,7 @@ def _draw_pressure(axes: Axes, traced: Trace, gestures: Sequence[str], begin_s: 
         part = slice(max(span.start, first), min(span.stop, last + 1))
         if span.is_added or len(load[part]) == 0:
             continue
-        colour = colour_of(span.gesture, gestures)
+        colour = colours[span.gesture]
         axes.fill_between(traced.time_s[part], load[part], color=colour, alpha=0.45, linewidth=0)
         axes.plot(traced.time_s[part], load[part], color=colour, linewidth=0.9)
         if span.gesture != NO_TOUCH:
@@ -281,8 +219,8 @@ def _draw_pressure(axes: Axes, traced: Trace, gestures: Sequence[str], begin_s: 
     axes.set_ylabel("counts above lightest")
 
 
-def _draw_answers(axes: Axes, traced: Trace, gestures: Sequence[str], begin_s: float, end_s: float) -> None:
-    """Draw each answer at its time, in the lane of its stage, but none after the end."""
+def _draw_answers(axes: Axes, traced: Trace, colours: Colours, begin_s: float, end_s: float) -> None:
+    """Draw each answer at its time, but none after the end, in the lane of its stage."""
     last_s = np.nextafter(traced.rows()[-1][1], 0.0)
     for number, touch in enumerate(traced.touches):
         truth = traced.truth(number)
@@ -291,16 +229,37 @@ def _draw_answers(axes: Axes, traced: Trace, gestures: Sequence[str], begin_s: f
             if begin_s <= at_s < end_s:
                 is_wrong = truth != UNLABELLED and answer.gesture not in (truth, UNCERTAIN)
                 lane = LANES.index(answer.stage) if answer.stage in LANES else len(LANES) - 1
-                draw_answer(axes, (at_s, -lane), answer, colour_of(answer.gesture, gestures), wrong=is_wrong)
+                _draw_answer(axes, (at_s, -lane), answer, colours[answer.gesture], is_wrong)
     axes.set_ylim(-len(LANES) + 0.4, 0.6)
     axes.set_yticks([-lane for lane in range(len(LANES))], LANES)
     axes.set_xticks([])
-    draw_lanes(axes)
+    axes.grid(axis="y")
+    axes.spines[:].set_visible(False)
+    axes.tick_params(length=0)
 
 
-def _draw_pads(figure: SubFigure, traced: Trace, gestures: Sequence[str], rows: int, columns: int) -> None:
+def _draw_answer(
+    axes: Axes, at: tuple[float, float], answer: Prediction, colour: str, is_wrong: bool
+) -> None:
+    """Draw an answer, filled if it was sent to the robot."""
+    inside = colour if answer.told else "white"
+    axes.plot(*at, "o", markeredgecolor=colour, markerfacecolor=inside, clip_on=False, zorder=3)
+    is_unsure = answer.gesture == UNCERTAIN
+    axes.annotate(
+        UNCERTAIN if is_unsure else f"{answer.gesture} {answer.confidence:.0%}",
+        at,
+        xytext=(6, 0),
+        textcoords="offset points",
+        va="center",
+        fontsize=7.5,
+        color="#c00000" if is_wrong else INK,
+        fontstyle="italic" if is_wrong else "normal",
+        annotation_clip=False,
+    )
+
+
+def _draw_pads(all_axes: Sequence[Axes], traced: Trace, gestures: Sequence[str], colours: Colours) -> None:
     """Draw the mean pad of each gesture, each on its own scale so that light touches are visible."""
-    all_axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for axes in all_axes:
         axes.set_axis_off()
     for axes, gesture in zip(all_axes, gestures, strict=False):
@@ -309,4 +268,4 @@ def _draw_pads(figure: SubFigure, traced: Trace, gestures: Sequence[str], rows: 
         highest = max(float(mean.max()), 1.0)
         axes.imshow(mean, cmap="inferno", vmin=0, vmax=highest)
         title = f"{gesture}\nmean pad, 0 to {highest:.0f}"
-        axes.set_title(title, color=colour_of(gesture, gestures), fontweight="bold")
+        axes.set_title(title, color=colours[gesture], fontweight="bold")

@@ -1,6 +1,5 @@
 """Reads events back from lines and journals, and groups them by touch."""
 
-import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TypeAlias
@@ -12,8 +11,6 @@ from touchd.daemon.sinks.journal import FIRST_BYTES, MAX_LINE_BYTES, JournalErro
 from touchd.drivers.errors import os_errors_as
 from touchd.drivers.whole_file import without_waiting
 
-# Only the end of a journal is read, thousands of touches; a journal may have gigabytes.
-TAIL_BYTES = 4_000_000
 # The beginning of a label's line.
 LABEL = FIRST_BYTES + b'label"'
 # The year 2500: earlier times fit into the nanoseconds of every format that touchd writes.
@@ -69,21 +66,15 @@ def decode(line: bytes | str) -> Event:
     return event
 
 
-def read_events(
-    path: Path, last_bytes: int | None = None, begin: bytes = b""
-) -> tuple[list[Event], list[EventError]]:
+def read_events(path: Path, begin: bytes = b"") -> tuple[list[Event], list[EventError]]:
     """Parse a journal into events and errors; a last line without its end is left for later.
 
-    last_bytes: read only this much of the end, from its first whole line on. begin: of the lines to read.
-    Raises JournalError; FileNotFoundError is its cause when there is no file.
+    begin: of the lines to read. Raises JournalError; FileNotFoundError is its cause when there is no file.
     """
     events: list[Event] = []
     wrong: list[EventError] = []
     reading = os_errors_as(JournalError, f"journal {path}: cannot be read", "check the path")
     with reading, open(path, "rb", opener=without_waiting) as file:
-        if last_bytes is not None and os.fstat(file.fileno()).st_size > last_bytes:
-            file.seek(-last_bytes, os.SEEK_END)
-            file.readline()
         while line := file.readline(MAX_LINE_BYTES):
             if not line.startswith(begin):
                 continue
@@ -95,16 +86,6 @@ def read_events(
             elif len(line) == MAX_LINE_BYTES:
                 wrong.append(EventError("longer than any event; not a journal"))
     return events, wrong
-
-
-def read_journal(path: Path) -> list[ReportedTouch]:
-    """Return the touches in the last part of a journal; raises JournalError when it is not a journal."""
-    events, wrong = read_events(path, TAIL_BYTES)
-    if wrong and not events:
-        raise JournalError(
-            f"{path}: neither a journal of events nor a .csv or .csv.gz of recordings ({wrong[-1]})"
-        )
-    return gather(events)
 
 
 def read_labels(path: Path, pad: str) -> dict[TouchKey, str]:

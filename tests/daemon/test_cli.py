@@ -27,7 +27,7 @@ from touchd.daemon.robot.actions import Action, ActionRule
 from touchd.daemon.robot.words import words_of
 from touchd.daemon.sinks.touches import decode
 from touchd.daemon.view.describe import describe
-from touchd.drivers.recording import Recording, read_recordings, write_recordings
+from touchd.drivers.recording import Recording, read_recordings
 from touchd.model.classifier import Classifier
 from touchd.model.studies.simulated import write_simulated
 

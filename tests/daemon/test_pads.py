@@ -36,7 +36,7 @@ from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
 from touchd.daemon.robot.actions import Action, ActionRule
 from touchd.daemon.robot.sink import link_to_robot
 from touchd.daemon.sinks.touch_store import folder_of, kept_touches
-from touchd.daemon.sinks.touches import decode, read_journal
+from touchd.daemon.sinks.touches import decode, gather, read_events
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.queue import Signal
@@ -75,7 +75,7 @@ def test_each_pad_has_touches_scene_and_frames_of_its_own(tmp_path: Path) -> Non
         touches = [event.touch for event in on(pad, events) if isinstance(event, TouchBegan)]
         assert touches == list(range(1, number + 1))
         assert [kept.number for kept in kept_touches(folder_of(journal, pad))] == touches
-    assert all(touch.ended and touch.predictions for touch in read_journal(journal))
+    assert all(touch.ended and touch.predictions for touch in gather(read_events(journal)[0]))
 
 
 def test_pads_share_a_model_unless_one_has_its_own(tmp_path: Path) -> None:
