@@ -51,16 +51,14 @@ class SpawnedDaemon:
 
     def stop(self) -> int:
         """Send SIGTERM, wait, and return the exit code; may be repeated."""
-        if self.process.poll() is None:
+        # Leaving this block closes the pipe.
+        with self.process:
             self.process.terminate()
-        try:
-            return self.process.wait(STOP_S)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            return self.process.wait()
-        finally:
-            if self.process.stdout is not None:
-                self.process.stdout.close()
+            try:
+                return self.process.wait(STOP_S)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                return self.process.wait()
 
 
 def encoder_for(sensor: SensorSettings) -> Callable[[Counts, int], bytes]:

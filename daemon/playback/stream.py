@@ -30,7 +30,6 @@ from touchd.drivers.recording import (
 DEMO_RECORDING = Path(__file__).parent / "data" / "demo.csv.gz"
 # Long enough for a touch to end and the baseline to settle, short enough to wait for.
 QUIET_FRAMES = round(4.0 * FRAME_RATE_HZ)
-MOST_HOURS = 12
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -43,8 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="recordings, .csv or .csv.gz, or folders of them; the demo's without it",
     )
-    examples = {"participant": "P3", "substrate": "foam", "cover": "fur", "gesture": "stroke"}
-    for key, example in examples.items():
+    for key, example in zip(KEYS, ("P3", "foam", "fur", "stroke"), strict=True):
         parser.add_argument(
             f"--{key}",
             action="append",
@@ -56,13 +54,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def chosen_stream(arguments: argparse.Namespace) -> Stream:
     """Return the recordings selected by the arguments as one stream; raises RecordingError."""
-    gestures = arguments.gesture
-    select = Selection(
-        tuple(arguments.participant),
-        tuple(arguments.substrate),
-        tuple(arguments.cover),
-        (*gestures, NO_TOUCH) if gestures else (),
-    )
+    participants, substrates, covers, gestures = (tuple(getattr(arguments, key)) for key in KEYS)
+    select = Selection(participants, substrates, covers, (*gestures, NO_TOUCH) if gestures else ())
     files = recording_files(arguments.files)
     found: list[Recording] = []
     # A large file takes seconds.
@@ -72,13 +65,8 @@ def chosen_stream(arguments: argparse.Namespace) -> Stream:
             found += [realign(recording) for recording in read_recordings(path, select)]
     wanted = [recording for recording in found if not gestures or recording.gesture in gestures]
     if not wanted:
-        why = "no frames" if select == EVERYTHING else f"no recording matches; {_there_are(files, select)}"
+        why = "no frames" if select == EVERYTHING else f"no recording matches; {_there_are(files)}"
         raise RecordingError(f"{', '.join(map(str, arguments.files))}: {why}")
-    hours = sum(len(part.counts) + 2 * QUIET_FRAMES for part in wanted) / FRAME_RATE_HZ / 3600
-    if hours > MOST_HOURS:
-        raise RecordingError(
-            f"{hours:.0f} hours of recordings and quiet, {MOST_HOURS} at most; choose among them"
-        )
     return with_quiet(wanted, [recording for recording in found if recording.gesture == NO_TOUCH])
 
 
@@ -100,16 +88,11 @@ def recording_files(paths: Sequence[Path]) -> list[Path]:
     return files
 
 
-def _there_are(files: Sequence[Path], select: Selection) -> str:
-    """Say which participants, substrates, covers or gestures there are, if no wanted one is."""
-    everything = [recording for path in files for recording in read_recordings(path)]
-    wanted = (select.participants, select.substrates, select.covers, select.gestures)
-    for key, names in zip(KEYS, wanted, strict=True):
-        there = sorted({str(getattr(recording, key)) for recording in everything})
-        asked = set(names) - {NO_TOUCH}
-        if asked and not asked & set(there):
-            return f"{key} is one of {', '.join(there)}"
-    return "see which there are with fewer options"
+def _there_are(files: Sequence[Path]) -> str:
+    """Say which participants, substrates, covers and gestures there are."""
+    found = [recording for path in files for recording in read_recordings(path)]
+    names = {key: sorted({getattr(recording, key) for recording in found}) for key in KEYS}
+    return "; ".join(f"{key} is one of {', '.join(some)}" for key, some in names.items())
 
 
 def play(
@@ -150,11 +133,10 @@ def with_quiet(recordings: Sequence[Recording], quiet: Sequence[Recording]) -> S
             is_quiet = recording.gesture == NO_TOUCH
         if not is_quiet:
             parts.append((_quiet_for(recording, quiet), True))
-    stream = splice([recording for recording, _ in parts])
-    spans = [
-        replace(span, is_added=is_added) for span, (_, is_added) in zip(stream.spans, parts, strict=True)
-    ]
-    return replace(stream, spans=tuple(spans))
+    played, are_added = zip(*parts, strict=True)
+    stream = splice(played)
+    spans = zip(stream.spans, are_added, strict=True)
+    return replace(stream, spans=tuple(replace(span, is_added=is_added) for span, is_added in spans))
 
 
 def _quiet_for(recording: Recording, quiet: Sequence[Recording]) -> Recording:

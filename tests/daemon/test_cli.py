@@ -283,15 +283,6 @@ def test_marks_beyond_the_models_longest_window_are_refused() -> None:
         check_scene(SceneSettings(), short)
 
 
-def test_half_a_day_of_recordings_is_refused(tmp_path: Path, refusal: Refusal) -> None:
-    # Each row gets four seconds of quiet around it.
-    one = Recording("p0", "s", "c", "rub", np.zeros((1, 8, 8), np.uint16), np.zeros(1, np.int64), "live")
-    parts = [replace(one, participant=f"p{number % 2}") for number in range(6000)]
-    write_recordings(tmp_path / "rows.csv.gz", parts, {})
-    said = refusal("classify", str(tmp_path / "rows.csv.gz"))
-    assert "13 hours of recordings and quiet, 12 at most" in said
-
-
 def test_classify_writes_the_events_as_json_lines(capfd: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["classify", str(GESTURES)]) == 0
     assert outline(decode(line) for line in capfd.readouterr().out.splitlines()) == expected(GESTURES)
