@@ -25,6 +25,8 @@ if typing.TYPE_CHECKING:
     from touchd.model.classifier import Classifier
 
 GESTURES, EVERY_S = ("pat", "stroke", "rub", "constant"), 6.0
+# Time limit for the page.
+STOP_S = 1.0
 
 
 def add_live(parser: argparse.ArgumentParser) -> None:
@@ -44,7 +46,7 @@ def serve_page(
 
     listening = closing.enter_context(listen(live))
     page = TouchPage(listening, live, Scene(settings, model))
-    closing.callback(page.stop)
+    closing.callback(page.stop, STOP_S)
     page.start()
     return page, urls_of(live, listening.getsockname()[1])
 

@@ -2,10 +2,10 @@
 
 import errno
 import io
-import ipaddress
 import logging
 import re
 import socket
+from ipaddress import IPv4Address, IPv6Address, ip_address
 
 import msgspec
 
@@ -42,8 +42,8 @@ def parse_address(text: str, configured: LiveSettings | None) -> LiveSettings:
 def listen(settings: LiveSettings) -> socket.socket:
     """Return a socket that listens where these settings say; raises LiveError.
 
-    A name that is not this computer's is one by which others know it, as the name of a container's computer:
-    then it listens at every address.
+    A name of another computer is one by which others know this one, as that of a container's computer: then
+    it listens at every address.
     """
     host, port = settings.host, settings.port
     try:
@@ -54,7 +54,7 @@ def listen(settings: LiveSettings) -> socket.socket:
         listening = socket.create_server(address[:2], family=family, dualstack_ipv6=takes_both)
     except OSError as error:
         is_elsewhere = error.errno == errno.EADDRNOTAVAIL or isinstance(error, socket.gaierror)
-        if not is_elsewhere or _is_number(host):
+        if not is_elsewhere or ip_of(host):
             raise _cannot_listen(host, port, error) from error
         log.warning("live page: %s is no name of this computer; serving at all of its addresses", host)
         return listen(msgspec.structs.replace(settings, host="0.0.0.0"))
@@ -64,7 +64,7 @@ def listen(settings: LiveSettings) -> socket.socket:
 
 
 def _cannot_listen(host: str, port: int, error: OSError) -> LiveError:
-    another = 8061 if port != 8061 else 8062
+    another = _at(host, 8061 if port != 8061 else 8062)
     known = {
         errno.EADDRINUSE: f"another program does, perhaps another touchd; choose another: --live {another}",
         errno.EACCES: "ports below 1024 are the system's; choose a higher one",
@@ -75,12 +75,8 @@ def _cannot_listen(host: str, port: int, error: OSError) -> LiveError:
     return LiveError(f"the live page cannot listen on {host} port {port}: {why}")
 
 
-def _is_number(host: str) -> bool:
-    try:
-        ipaddress.ip_address(host)
-    except ValueError:
-        return False
-    return True
+def _at(host: str, port: int) -> str:
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
 
 
 def urls_of(settings: LiveSettings, port: int) -> list[str]:
@@ -91,7 +87,7 @@ def urls_of(settings: LiveSettings, port: int) -> list[str]:
     hosts = [settings.host]
     if settings.host in EVERY_ADDRESS:
         hosts = own_addresses() or [socket.gethostname()]
-    return [f"http://{f'[{host}]' if ':' in host else host}:{port}/" for host in hosts]
+    return [f"http://{_at(host, port)}/" for host in hosts]
 
 
 def qr_code(url: str) -> str:
@@ -111,13 +107,24 @@ def own_names(settings: LiveSettings) -> frozenset[str]:
 
 
 def is_own_host(host: str, names: frozenset[str]) -> bool:
-    """Whether a Host header, NAME[:PORT], names this computer by one of `names` or by a number.
+    """Whether a Host header names this computer by one of `names` or by a number.
 
     Another site can point its own name at us (DNS rebinding), but then the Host header carries that name,
     never a number. Any port is accepted, since it differs at the other end of a tunnel.
     """
+    name = name_in(host)
+    return name in names or ip_of(name) is not None
+
+
+def name_in(host: str) -> str:
+    """Return the name or number in a Host header, NAME[:PORT], in lower case; "" if it holds none."""
     match = re.fullmatch(r"(\[[^\]]*\]|[^:]*)(:\d{1,5})?", host)
-    if match is None:
-        return False
-    name = match[1].strip("[]").lower()
-    return name in names or _is_number(name)
+    return match[1].strip("[]").lower() if match else ""
+
+
+def ip_of(name: str) -> IPv4Address | IPv6Address | None:
+    """Return a number as an IP address, None for a name."""
+    try:
+        return ip_address(name)
+    except ValueError:
+        return None

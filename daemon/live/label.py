@@ -1,12 +1,13 @@
 """Messages from viewers on this computer who say what a touch was (`live.label`)."""
 
-import ipaddress
 from collections.abc import Mapping
+from ipaddress import IPv6Address
 from typing import Annotated
 
 import msgspec
 from websockets.asyncio.server import ServerConnection
 
+from touchd.daemon.live.address import ip_of, name_in
 from touchd.daemon.live.memory import Memory
 from touchd.daemon.path.events import Count
 from touchd.daemon.sinks.labels import LabelError, Labeller
@@ -54,19 +55,12 @@ class Labels:
 def is_here(viewer: ServerConnection) -> bool:
     """Whether a viewer is on this computer, and asked for the page by a name of this computer alone."""
     headers = viewer.request.headers if viewer.request else {}
-    host = headers.get("Host", "").rpartition(":")[0] or headers.get("Host", "")
-    is_named_here = host == "localhost" or _is_loopback(host.strip("[]"))
-    return (
-        _is_loopback(viewer.remote_address[0])
-        and is_named_here
-        and not any(name in headers for name in FORWARDED)
-    )
+    name = name_in(headers.get("Host", ""))
+    is_forwarded = any(each in headers for each in FORWARDED)
+    return (name == "localhost" or _is_here(name)) and _is_here(viewer.remote_address[0]) and not is_forwarded
 
 
-def _is_loopback(address: str) -> bool:
-    try:
-        ip = ipaddress.ip_address(address)
-    except ValueError:
-        return False
-    mapped = ip.ipv4_mapped if isinstance(ip, ipaddress.IPv6Address) else None
-    return (mapped or ip).is_loopback
+def _is_here(address: str) -> bool:
+    ip = ip_of(address)
+    mapped = ip.ipv4_mapped if isinstance(ip, IPv6Address) else None
+    return ip is not None and (mapped or ip).is_loopback

@@ -8,24 +8,12 @@ import numpy as np
 
 from touchd.daemon.app.config import Settings
 from touchd.daemon.path.decide import REVISE_MARGIN
-from touchd.daemon.path.events import (
-    UNCERTAIN,
-    Event,
-    Label,
-    Prediction,
-    RobotAction,
-    RobotEvent,
-    SensorEvent,
-    TouchBegan,
-    TouchEnded,
-)
+from touchd.daemon.path.events import UNCERTAIN, Event, Prediction, TouchBegan
 from touchd.daemon.robot.words import SHIPPED, Vocabulary, name_of, words_of
-from touchd.daemon.sinks.touches import ReportedTouch
+from touchd.daemon.sinks.touches import TOUCHES, Latest
 from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH, Frame
 from touchd.model.classifier import Classifier
 
-TOUCHES = 40
-PREDICTIONS = 24
 # Two seconds: a touch is detected within one, so the first of them is the pad's rest.
 RECENT_FRAMES = 108
 
@@ -37,16 +25,12 @@ class Scene(NamedTuple):
     model: Classifier | None
 
 
-class Memory:
-    """A pad's last touches with their answers, recent frames, the last state of pad and robot; bounded."""
+class Memory(Latest):
+    """What a viewer who connects later gets: the latest of a pad, and its recent frames."""
 
     def __init__(self, scene: Scene) -> None:
+        super().__init__()
         self.scene = scene
-        self._sensor: SensorEvent | None = None
-        self._robot: RobotEvent | None = None
-        self._action: RobotAction | None = None
-        self._touches: deque[ReportedTouch] = deque(maxlen=TOUCHES)
-        self._said: dict[int, str] = {}
         self._reported: deque[int] = deque(maxlen=TOUCHES)
         self._recent: deque[Frame] = deque(maxlen=RECENT_FRAMES)
         self._rest: list[float] = []
@@ -56,28 +40,12 @@ class Memory:
         self._recent.append(frame)
 
     def put(self, event: Event) -> None:
-        """Remember an event, unless its touch began before we listened."""
+        super().put(event)
         match event:
-            case SensorEvent():
-                self._sensor = event
-            case RobotEvent():
-                self._robot = event
-            case RobotAction():
-                self._action = event
-            case TouchBegan():
-                self._action = None
-                self._touches.append(ReportedTouch(event))
-                self._said = {touch: said for touch, said in self._said.items() if self.find(touch)}
-                if before := list(self._recent.copy())[: RECENT_FRAMES // 2]:
-                    self._rest = np.mean([frame.pressure.ravel() for frame in before], axis=0).tolist()
-            case Label() if self.find(event.touch):
-                self._said[event.touch] = event.gesture
-            case Prediction() | TouchEnded() if self._touches:
-                is_told = isinstance(event, Prediction) and event.told
-                if is_told and self._robot is not None and self._robot.state == "up":
-                    self._reported.append(event.touch)
-                self._touches[-1].add(event)
-                del self._touches[-1].predictions[:-PREDICTIONS]
+            case TouchBegan() if before := list(self._recent.copy())[: RECENT_FRAMES // 2]:
+                self._rest = np.mean([frame.pressure.ravel() for frame in before], axis=0).tolist()
+            case Prediction(told=True) if self.robot and self.robot.state == "up":
+                self._reported.append(event.touch)
 
     @property
     def rate_hz(self) -> float:
@@ -85,10 +53,6 @@ class Memory:
         recent = self._recent.copy()
         span_s = recent[-1].host_s - recent[0].host_s if recent else 0.0
         return round((len(recent) - 1) / span_s, 1) if span_s > 0.0 else 0.0
-
-    def find(self, touch: int) -> TouchBegan | None:
-        """Return the beginning of a touch that the page shows; None if it shows no such touch."""
-        return next((one.began for one in self._touches if one.began.touch == touch), None)
 
     def state(self, page: str, pad: str, pads: Sequence[str], touchable: bool = False) -> dict[str, object]:
         """Return what a page gets when it connects or has fallen far behind.
@@ -115,18 +79,18 @@ class Memory:
             # The words for each gesture when nothing is sure.
             "guesses": {label: _guess(words, label) for label in set(labels) - {NO_TOUCH}},
             "robot_configured": settings.robot is not None,
-            "action": self._action,
-            "sensor": self._sensor,
-            "robot": self._robot if settings.robot else None,
+            "action": self.action,
+            "sensor": self.sensor,
+            "robot": self.robot if settings.robot else None,
             # The oldest first; an ongoing touch comes last.
-            "touches": list(self._touches),
+            "touches": list(self.touches),
             # Touches that the robot was told about while it was up.
             "reported": list(self._reported),
             # Each taxel's reading before the last touch.
             "rest": self._rest,
             "touchable": touchable,
             "may_label": settings.live is not None and settings.live.label,
-            "said": self._said,
+            "said": self.labels,
         }
 
 

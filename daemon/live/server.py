@@ -8,9 +8,9 @@ import asyncio
 import logging
 import socket
 import threading
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
 
 import msgspec
 from websockets.asyncio.server import ServerConnection, serve
@@ -41,44 +41,30 @@ HANDSHAKE_S = 5.0
 PING_EVERY_S = 5.0
 GOODBYE_S = 0.2
 
-Scenes: TypeAlias = Mapping[str, Scene]
 Item: TypeAlias = Event | LivePrediction | tuple[Frame, str]
-
-
-class Status(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="status"):
-    """The status, sent twice a second. rate_hz: frame rate. dropped: frames dropped under overload."""
-
-    rate_hz: float
-    dropped: int
-    pad: str
-
-
-class Messages(Protocol):
-    """Receives what viewers send."""
-
-    def take(self, viewer: ServerConnection, message: str | bytes) -> str:
-        """Take a viewer's message; returns why it is refused, or ""."""
+# Takes a viewer's message; returns why it is refused, or "".
+TakeMessage: TypeAlias = Callable[[ServerConnection, str | bytes], str]
 
 
 class LiveServer:
     """A sink that serves the page on a listening socket; taking events and frames never blocks.
 
-    touching: receives what viewers press on a simulated pad. labeller: takes what viewers on this computer
-    say that a touch was. Without either, viewers can send nothing.
+    touching: takes what viewers press on a simulated pad. labeller: takes what viewers on this computer say
+    that a touch was. Without either, viewers can send nothing.
     """
 
     def __init__(
         self,
         listening: socket.socket,
         settings: LiveSettings,
-        scenes: Scenes,
-        touching: Messages | None = None,
+        scenes: Mapping[str, Scene],
+        touching: TakeMessage | None = None,
         labeller: Labeller | None = None,
     ) -> None:
         self.listening = listening
         self._pads = {name: Memory(scene) for name, scene in scenes.items()}
         self._is_touchable = touching is not None
-        self._messages = Labels(labeller, self._pads) if labeller else touching
+        self._take_message = Labels(labeller, self._pads).take if labeller else touching
         self._page = Page(own_names(settings))
         self._urls = urls_of(settings, listening.getsockname()[1])
         self._viewers = Viewers(self._state)
@@ -165,14 +151,12 @@ class LiveServer:
         status.cancel()
         server.close()
         door.shut()
-        closed = asyncio.create_task(server.wait_closed())
-        await asyncio.wait([closed, status], timeout=GOODBYE_S)
-        # What is left when the loop closes would be reported as a fault of Python's.
         left = asyncio.all_tasks() - {asyncio.current_task()}
+        await asyncio.wait(left, timeout=GOODBYE_S)
+        # What is left when the loop closes would be reported as a fault of Python's.
         for task in left:
             task.cancel()
-        if left:
-            await asyncio.wait(left, timeout=GOODBYE_S)
+        await asyncio.wait(left, timeout=GOODBYE_S)
 
     async def _watch(self, connection: ServerConnection) -> None:
         """Serve a viewer until it leaves; close its connection if it sends something unexpected."""
@@ -184,8 +168,8 @@ class LiveServer:
             with suppress(ConnectionClosed):
                 while not refused:
                     message = await connection.recv()
-                    takes = self._messages
-                    refused = takes.take(connection, message) if takes else "nothing is read here"
+                    take = self._take_message
+                    refused = take(connection, message) if take else "nothing is read here"
                 await connection.close(CloseCode.POLICY_VIOLATION, refused)
         finally:
             self._viewers.discard(connection)
@@ -195,8 +179,8 @@ class LiveServer:
             await asyncio.sleep(STATUS_EVERY_S)
             self._take()
             for name, pad in self._pads.items():
-                status = Status(rate_hz=pad.rate_hz, dropped=self._frames_dropped, pad=name)
-                self._viewers.show(encode_message(status))
+                status = {"rate_hz": pad.rate_hz, "dropped": self._frames_dropped, "pad": name}
+                self._viewers.show(encode_message({"type": "status", **status}))
 
     def _take(self) -> None:
         """Show everything queued."""

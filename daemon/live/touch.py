@@ -26,7 +26,6 @@ MOST_POINTERS = 10
 # A page sends at least ten messages a second while it presses; after this long without one, it has let go.
 LIFTED_AFTER_S = 1.5
 RETRY_S = 0.2
-STOP_S = 1.0
 # The line that a daemon with a page logs.
 SERVED = re.compile(r"live page: http://(\S+)/")
 
@@ -99,10 +98,7 @@ class TouchPage(LiveServer):
 
     def __init__(self, listening: socket.socket, settings: LiveSettings, pad: Scene) -> None:
         self.touching = Touching()
-        super().__init__(listening, settings, {DEFAULT_PAD: pad}, self.touching)
-
-    def stop(self, timeout_s: float = STOP_S) -> None:
-        super().stop(timeout_s)
+        super().__init__(listening, settings, {DEFAULT_PAD: pad}, self.touching.take)
 
     def show_frame(self, counts: Counts, sensor_ms: int) -> None:
         self.put_frame(Frame(sensor_ms, time.monotonic(), counts), 0)

@@ -1,18 +1,31 @@
 """Reads events back from lines and journals, and groups them by touch."""
 
+from collections import deque
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TypeAlias
 
 import msgspec
 
-from touchd.daemon.path.events import Event, Label, Prediction, TouchBegan, TouchEnded, epoch_s
+from touchd.daemon.path.events import (
+    Event,
+    Label,
+    Prediction,
+    RobotAction,
+    RobotEvent,
+    SensorEvent,
+    TouchBegan,
+    TouchEnded,
+    epoch_s,
+)
 from touchd.daemon.sinks.journal import FIRST_BYTES, MAX_LINE_BYTES, JournalError, journal_files
 from touchd.drivers.errors import os_errors_as
 from touchd.drivers.whole_file import without_waiting
 
 # The beginning of a label's line.
 LABEL = FIRST_BYTES + b'label"'
+# The last touches of a pad, and the last answers to a touch, for those who look.
+TOUCHES, PREDICTIONS = 40, 24
 # The year 2500: earlier times fit into the nanoseconds of every format that touchd writes.
 LAST_S = 16_725_225_600.0
 
@@ -52,6 +65,43 @@ def gather(events: Iterable[Event]) -> list[ReportedTouch]:
             case Prediction() | TouchEnded() if event.pad in latest:
                 latest[event.pad].add(event)
     return touches
+
+
+class Latest:
+    """A pad's last touches, the last states, and what the robot says or does of the last touch; bounded.
+
+    labels: what people said that touches were, by their numbers.
+    """
+
+    def __init__(self) -> None:
+        self.touches: deque[ReportedTouch] = deque(maxlen=TOUCHES)
+        self.labels: dict[int, str] = {}
+        self.sensor: SensorEvent | None = None
+        self.robot: RobotEvent | None = None
+        self.action: RobotAction | None = None
+
+    def put(self, event: Event) -> None:
+        """Take an event, unless its touch began before we listened."""
+        match event:
+            case SensorEvent():
+                self.sensor = event
+            case RobotEvent():
+                self.robot = event
+            case RobotAction() if event.action != "leds":
+                self.action = event
+            case TouchBegan():
+                self.action = None
+                self.touches.append(ReportedTouch(event))
+                self.labels = {touch: label for touch, label in self.labels.items() if self.find(touch)}
+            case Label() if self.find(event.touch):
+                self.labels[event.touch] = event.gesture
+            case Prediction() | TouchEnded() if self.touches:
+                self.touches[-1].add(event)
+                del self.touches[-1].predictions[:-PREDICTIONS]
+
+    def find(self, touch: int) -> TouchBegan | None:
+        """Return the beginning of one of the last touches, None if it is not among them."""
+        return next((one.began for one in self.touches if one.began.touch == touch), None)
 
 
 def decode(line: bytes | str) -> Event:

@@ -7,30 +7,31 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.color import blend_rgb, parse_rgb_hex
 from rich.console import Console
 from rich.style import Style
 from rich.text import Text
 
 from touchd.drivers.frame import COLUMNS
 
-# The page's dark theme. rich leaves the colours out where the terminal has none.
+# The page's dark theme, on PAPER throughout. rich leaves the colours out where the terminal has none.
 PAPER = Style.parse("on #0c0f13")
-INK = Style.parse("#f3f5f8 on #0c0f13")
-MUTED = Style.parse("#aab4c2 on #0c0f13")
-FAINT = Style.parse("#5d6877 on #0c0f13")
-ACCENT = Style.parse("#7cc4ff on #0c0f13")
-CHANGED = Style.parse("#ffb65c on #0c0f13")
-ROBOT = Style.parse("#9be7c4 on #0c0f13")
-BAD = Style.parse("#ff9a9a on #0c0f13")
-RAIL = Style.parse("#2b323d on #0c0f13")
-TRACE = Style.parse("#2f5d80 on #0c0f13")
+INK = Style.parse("#f3f5f8")
+MUTED = Style.parse("#aab4c2")
+FAINT = Style.parse("#5d6877")
+ACCENT = Style.parse("#7cc4ff")
+CHANGED = Style.parse("#ffb65c")
+ROBOT = Style.parse("#9be7c4")
+BAD = Style.parse("#ff9a9a")
+RAIL = Style.parse("#2b323d")
+TRACE = Style.parse("#2f5d80")
 ACCENT_FLAG = Style.parse("#f3f5f8 on #17364f")
 CHANGED_FLAG = Style.parse("#ffb65c on #3b2a12")
 # As on the live page: colours follow the logarithm of pressure, from "light" to "firm" counts.
 LIGHT_COUNTS = 4.0
 FIRM_COUNTS = 250.0
 # The page's dark theme, which rich turns into the terminal's colours; from no pressure to firm.
-HEAT = ("#171c24", "#42249a", "#85248a", "#d04361", "#f9903f", "#fdf4b5")
+HEAT = [parse_rgb_hex(colour) for colour in ("171c24", "42249a", "85248a", "d04361", "f9903f", "fdf4b5")]
 SHADES = 64
 # Without colours.
 CHARACTERS = " ·:-=+*#%@"
@@ -72,8 +73,7 @@ Cells = list[list[tuple[str, Style]]]
 def pad_picture(pressure: NDArray[np.float64], scale: int, console: Console) -> list[Text]:
     """Return (8, 8) counts above rest as 4 * scale lines of 8 * scale characters."""
     levels = np.log1p(np.maximum(pressure, 0.0) / LIGHT_COUNTS) / np.log1p(FIRM_COUNTS / LIGHT_COUNTS)
-    weights = _weights(scale)
-    pixels = np.clip(weights @ levels @ weights.T, 0.0, 1.0)
+    pixels = np.minimum(_stretched(_stretched(levels, scale).T, scale).T, 1.0)
     # With NO_COLOR rich keeps the colour system and drops the colours.
     if console.color_system is None or console.no_color:
         at = np.minimum((pixels[::2] * len(CHARACTERS)).astype(int), len(CHARACTERS) - 1)
@@ -99,21 +99,17 @@ def _halves(upper: int, lower: int) -> Style:
     return Style(color=_colour(upper), bgcolor=_colour(lower))
 
 
-@cache
 def _colour(shade: int) -> str:
     """Return a colour between those of HEAT. shade: below SHADES."""
     at = shade / (SHADES - 1) * (len(HEAT) - 1)
-    rgb = np.array([[int(stop[i : i + 2], 16) for i in (1, 3, 5)] for stop in HEAT])
-    mixed = (round(float(np.interp(at, range(len(HEAT)), channel))) for channel in rgb.T)
-    return "#{:02x}{:02x}{:02x}".format(*mixed)
+    stop = min(int(at), len(HEAT) - 2)
+    return blend_rgb(HEAT[stop], HEAT[stop + 1], at - stop).hex
 
 
-@cache
-def _weights(scale: int) -> NDArray[np.float64]:
-    """Return the weights of linear interpolation, (8 * scale, 8)."""
+def _stretched(rows: NDArray[np.float64], scale: int) -> NDArray[np.float64]:
+    """Return N rows of 8 values, linearly interpolated to (N, 8 * scale)."""
     at = (np.arange(COLUMNS * scale) + 0.5) / scale - 0.5
-    distance = np.abs(np.clip(at, 0, COLUMNS - 1)[:, None] - np.arange(COLUMNS)[None, :])
-    return np.maximum(0.0, 1.0 - distance)
+    return np.array([np.interp(at, range(COLUMNS), row) for row in rows])
 
 
 def big(word: str, width: int) -> list[str]:
@@ -218,25 +214,21 @@ def _draw_trace(cells: Cells, trace: Sequence[tuple[float, float]], end_s: float
 
 
 def _draw_flags(cells: Cells, flags: Sequence[Flag], end_s: float) -> None:
-    """Put each flag into the highest free row."""
-    rows, width = len(cells), len(cells[0])
-    taken: list[tuple[int, int, int]] = []
-    for flag in flags:
+    """Put each flag a row below the one before; after the lowest row comes the highest."""
+    width = len(cells[0])
+    for number, flag in enumerate(flags):
         text = f" {flag.text} "[: width - 1]
         mark = _column(flag.at_s, end_s, width)
-        # Without room to the right of the mark, the flag hangs to its left.
-        is_left = mark + len(text) + 1 > width
-        first = max(mark - len(text), 0) if is_left else mark
-        last = first + len(text) + 1
-        free = (
-            row for row in range(rows) if not any(r == row and first < b and last > a for r, a, b in taken)
-        )
-        row = next(free, rows - 1)
-        taken.append((row, first, last))
         style = CHANGED_FLAG if flag.changed else ACCENT_FLAG
-        pole = style + Style(color=(CHANGED if flag.changed else ACCENT).color)
+        pole = style + (CHANGED if flag.changed else ACCENT)
         cell = [(character, style) for character in text]
-        cells[row][first:last] = [*cell, ("▐", pole)] if is_left else [("▌", pole), *cell]
+        row = cells[number % len(cells)]
+        # Without room to the right of the mark, the flag hangs to its left.
+        if mark + len(text) + 1 > width:
+            first = max(mark - len(text), 0)
+            row[first : first + len(cell) + 1] = [*cell, ("▐", pole)]
+        else:
+            row[mark : mark + len(cell) + 1] = [("▌", pole), *cell]
 
 
 def _labels(marks_s: Sequence[float], end_s: float, width: int) -> str:

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 import numpy as np
-from msgspec import field
 from numpy.typing import NDArray
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.live import Live
@@ -22,15 +21,13 @@ from touchd.daemon.path.events import (
     Label,
     LivePrediction,
     Prediction,
-    RobotAction,
     RobotEvent,
     SensorEvent,
     TouchBegan,
-    TouchEnded,
 )
 from touchd.daemon.robot.words import Vocabulary, name_of
 from touchd.daemon.sinks.labels import Labeller, keys_of
-from touchd.daemon.sinks.touches import ReportedTouch
+from touchd.daemon.sinks.touches import Latest, ReportedTouch
 from touchd.daemon.view.describe import describe
 from touchd.daemon.view.elements import (
     ACCENT,
@@ -47,15 +44,14 @@ from touchd.daemon.view.elements import (
     pad_picture,
     time_line,
 )
-from touchd.drivers.frame import COLUMNS, DEFAULT_PAD, FRAME_RATE_HZ, ROWS, Counts, Frame
+from touchd.drivers.frame import CLOCK_MODULUS, COLUMNS, DEFAULT_PAD, FRAME_RATE_HZ, ROWS, Counts, Frame
 
 REFRESH_HZ = 12
-TOUCHES = 12
 # Time constant of the rest in frames, and four times the noise in counts, as on the live page.
 REST_FRAMES = 54
 NOISE_COUNTS = 3.0
-# A touch begins this many frames before it is detected.
-LATE_FRAMES = 3
+# A touch is detected a little after it began: its first frames are among this many.
+RECENT_FRAMES = 54
 LONGEST_TRACE = 60 * 54
 # A smaller terminal shows a part of the picture.
 LEAST_COLUMNS, LEAST_ROWS = 60, 18
@@ -68,19 +64,6 @@ GAP = 2
 BOLD = Style(bold=True)
 # A message may hold a command to copy, which a single row would cut off.
 NOTE_ROWS = 3
-
-
-class ShownTouch(ReportedTouch):
-    """A touch so far. trace: (seconds since it began, sum of counts). label: what a person said it was."""
-
-    trace: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=LONGEST_TRACE))
-    label: str = ""
-
-    @property
-    def length_s(self) -> float:
-        if self.ended is not None:
-            return self.ended.frames / FRAME_RATE_HZ
-        return self.trace[-1][0] if self.trace else 0.0
 
 
 class View:
@@ -109,13 +92,12 @@ class View:
         self._lock = threading.Lock()
         self._rest: NDArray[np.float64] | None = None
         self._pressure = np.zeros((ROWS, COLUMNS))
-        self._recent: deque[float] = deque([0.0], maxlen=LATE_FRAMES)
-        self._last_ms: int | None = None
-        self._touches: deque[ShownTouch] = deque(maxlen=TOUCHES)
-        self._labels: tuple[str, ...] = ()
+        # The sensor's clock in ms and the sum of counts; seconds since the touch began and the sum of counts.
+        self._recent: deque[tuple[int, float]] = deque(maxlen=RECENT_FRAMES)
+        self._trace: deque[tuple[float, float]] = deque(maxlen=LONGEST_TRACE)
+        self._latest = Latest()
+        self._gestures: tuple[str, ...] = ()
         self._now: LivePrediction | None = None
-        self._states = {"pad": "awaited"}
-        self._said_by_robot = ""
         self._doing = ""
         self._note, self._is_note_bad = "", False
         self.labeller: Labeller | None = None
@@ -140,18 +122,17 @@ class View:
     def show_frame(self, pressure: Counts, sensor_ms: int) -> None:
         """Show (8, 8) counts at the next refresh. sensor_ms: the sensor's clock."""
         with self._lock:
-            touch = self._touch if self._touch and self._touch.ended is None else None
+            touch = self._touch
+            is_touched = touch is not None and touch.ended is None
             if self._rest is None:
                 self._rest = pressure.astype(np.float64)
-            elif touch is None:
+            elif not is_touched:
                 self._rest += (pressure - self._rest) / REST_FRAMES
             self._pressure = np.maximum(pressure - self._rest - NOISE_COUNTS, 0.0)
             load = float(self._pressure.sum())
-            self._recent.append(load)
-            step_s = max(sensor_ms - self._last_ms, 0) / 1000 if self._last_ms is not None else 0.0
-            self._last_ms = sensor_ms
-            if touch is not None:
-                touch.trace.append((touch.length_s + min(step_s, 1.0), load))
+            self._recent.append((sensor_ms, load))
+            if touch is not None and is_touched:
+                self._trace.append((_since_s(touch.began, sensor_ms), load))
 
     def note(self, text: str, is_bad: bool = False) -> None:
         with self._lock:
@@ -173,34 +154,17 @@ class View:
         if not isinstance(event, RobotEvent) and event.pad != self._shown_pad:
             return
         with self._lock:
-            self._take(event)
+            self._now = event if isinstance(event, LivePrediction) else None
+            if isinstance(event, LivePrediction | Prediction):
+                self._gestures = tuple(event.probabilities)
+            if not isinstance(event, LivePrediction):
+                self._latest.put(event)
+            if isinstance(event, TouchBegan):
+                self._trace.clear()
+                since = ((_since_s(event, sensor_ms), load) for sensor_ms, load in self._recent)
+                self._trace.extend((at_s, load) for at_s, load in since if at_s >= 0.0)
         if isinstance(event, SensorEvent | RobotEvent | Label):
             self.note(describe(event, self._words), getattr(event, "state", "up") != "up")
-
-    def _take(self, event: Event | LivePrediction) -> None:
-        self._now = event if isinstance(event, LivePrediction) else None
-        if isinstance(event, LivePrediction | Prediction):
-            self._labels = tuple(event.probabilities)
-        match event:
-            case TouchBegan():
-                shown = ShownTouch(event)
-                shown.trace.extend((n / FRAME_RATE_HZ, load) for n, load in enumerate(self._recent))
-                self._touches.append(shown)
-                self._said_by_robot = ""
-            case Prediction() | TouchEnded() if self._touches:
-                self._touches[-1].add(event)
-            case Label():
-                for touch in self._touches:
-                    if touch.began.touch == event.touch:
-                        touch.label = event.gesture
-            case SensorEvent():
-                self._states["pad"] = event.state
-            case RobotEvent():
-                self._states["robot"] = event.state
-            case RobotAction(action="say" | "animated_say"):
-                self._said_by_robot = f"“{event.what}”"
-            case RobotAction(action="behavior"):
-                self._said_by_robot = event.what
 
     def stop(self, timeout_s: float = 0.0) -> None:
         """Restore the terminal, if it is still there."""
@@ -229,79 +193,85 @@ class View:
         keys = self._keys_lines(width)
         notes = self._note_lines(width - 2, max(1, min(height // 8, NOTE_ROWS)))
         body = height - 2 - len(keys) - len(notes)
-        has_card = bool(self._card) and body - len(self._card) >= LEAST_CARD_ROWS
-        pad_rows = body - (len(self._card) + 1 if has_card else 0)
-        scale = max(2, min((width * 9 // 20) // COLUMNS, pad_rows // 4, LARGEST_SCALE))
+        card = self._card if body - len(self._card) >= LEAST_CARD_ROWS else []
+        scale = max(2, min((width * 9 // 20) // COLUMNS, (body - len(card) - 1) // 4, LARGEST_SCALE))
         left_width = COLUMNS * scale + GAP
-        left = _fitted(self._left(scale, body), left_width, body)
+        left = _fitted(self._left(scale, body, card), left_width, body)
         right = _fitted(self._right(width - 2 - left_width, body), width - 2 - left_width, body)
         lines = [Text.assemble(" ", *both) for both in zip(left, right, strict=True)]
         return [self._header(width), *lines, *keys, self._robot_line(), *notes]
 
     @property
-    def _touch(self) -> ShownTouch | None:
+    def _touch(self) -> ReportedTouch | None:
         """The ongoing touch, or else the last one."""
-        return self._touches[-1] if self._touches else None
+        return self._latest.touches[-1] if self._latest.touches else None
 
     def _header(self, width: int) -> Text:
+        sensor, robot = self._latest.sensor, self._latest.robot
         vitals = Text()
-        for name, state in self._states.items():
-            style = {"up": ACCENT, "awaited": MUTED}.get(state, BAD)
-            vitals.append(f"  {'●' if state == 'up' else '○'} ", style).append(f"{name} {state}", MUTED)
+        for name, state in (("pad", sensor.state if sensor else "awaited"), ("robot", robot and robot.state)):
+            if state:
+                style = {"up": ACCENT, "awaited": MUTED}.get(state, BAD)
+                vitals.append(f"  {'●' if state == 'up' else '○'} ", style).append(f"{name} {state}", MUTED)
         title = Text.assemble((" touchd", INK + BOLD), (f"  {self._title}", MUTED))
         title.truncate(max(width - vitals.cell_len - 1, 0), overflow="crop", pad=True)
         return title.append_text(vitals)
 
-    def _left(self, scale: int, height: int) -> list[Text]:
+    def _left(self, scale: int, height: int, card: Sequence[str]) -> list[Text]:
         lines = pad_picture(self._pressure, scale, self._console)
-        if self._card and height - len(lines) > len(self._card):
-            lines += [Text(), *(Text(line, "#ffffff on #000000") for line in self._card)]
+        if card:
+            lines += [Text(), *(Text(line, "#ffffff on #000000") for line in card)]
         if height - len(lines) >= 2:
             lines.append(Text("Last touches", MUTED))
-            ended = [touch for touch in reversed(self._touches) if touch.ended is not None]
-            lines += [self._last_touch(touch) for touch in ended[: height - len(lines)]]
+            lines += [self._last_touch(touch) for touch in reversed(self._latest.touches) if touch.ended]
         return lines
 
-    def _last_touch(self, touch: ShownTouch) -> Text:
+    def _last_touch(self, touch: ReportedTouch) -> Text:
         changes = list(dict.fromkeys(said.gesture for said in touch.predictions if said.told))
         name = self._name(touch.ended.gesture) if touch.ended else ""
-        line = Text.assemble((f"{name} ", INK + BOLD), (f"{touch.length_s:.1f} s", MUTED))
+        line = Text.assemble((f"{name} ", INK + BOLD), (f"{self._length_s(touch):.1f} s", MUTED))
         if len(changes) > 1:
             names = ", ".join(self._name(gesture) for gesture in changes[:-1])
             line.append(f" ↻ {names} before", CHANGED)
-        if touch.label:
-            line.append(f" = {self._name(touch.label)}", INK)
+        if label := self._latest.labels.get(touch.began.touch):
+            line.append(f" = {self._name(label)}", INK)
         return line
+
+    def _length_s(self, touch: ReportedTouch) -> float:
+        if touch.ended is not None:
+            return touch.ended.frames / FRAME_RATE_HZ
+        return self._trace[-1][0] if self._trace else 0.0
 
     def _right(self, width: int, height: int) -> list[Text]:
         touch = self._touch
         answers = touch.predictions if touch else []
         lines = [*self._answer(touch, width), *self._remarks(answers)]
-        room_for_bars = min(max(len(self._labels), FEWEST_BARS), max(height - 12, 3))
+        room_for_bars = min(max(len(self._gestures), FEWEST_BARS), max(height - 12, 3))
         line_height = height - len(lines) - room_for_bars
         if line_height >= 3:
             flags = [self._flag(answers, at) for at in range(len(answers))]
-            lines += time_line(touch.trace if touch else (), self._marks_s, flags, (width, line_height))
+            lines += time_line(self._trace, self._marks_s, flags, (width, line_height))
         # The bars are empty between touches.
         answer = answers[-1] if touch and touch.ended is None and answers else None
         shown = self._now or answer
         shares, stands = shown.probabilities if shown else {}, answer.gesture if answer else ""
-        names = {label: self._name(label) for label in self._labels}
+        names = {gesture: self._name(gesture) for gesture in self._gestures}
         return lines + bars(names, shares, stands, (width, room_for_bars))
 
-    def _answer(self, touch: ShownTouch | None, width: int) -> list[Text]:
+    def _answer(self, touch: ReportedTouch | None, width: int) -> list[Text]:
         """Return which touch is shown, and its answer in large letters."""
         which, word, style = "No touch yet", "...", FAINT
         if touch is not None:
             which = "Touch" if touch.ended is None else "Last touch:"
-            which = f"{which} {touch.began.touch} · {touch.length_s:.1f} s"
+            which = f"{which} {touch.began.touch} · {self._length_s(touch):.1f} s"
         if touch and touch.predictions:
             word = self._name(touch.predictions[-1].gesture)
             style = CHANGED if self._before(touch.predictions) else ACCENT
             if touch.ended is not None:
                 style = MUTED
         elif touch is None or touch.ended is not None:
-            word = "no pad" if self._states["pad"] == "down" else "touch me"
+            sensor = self._latest.sensor
+            word = "no pad" if sensor and sensor.state == "down" else "touch me"
         return [Text(which, MUTED), *(Text(row, style + BOLD) for row in big(word, width))]
 
     def _remarks(self, answers: Sequence[Prediction]) -> list[Text]:
@@ -337,17 +307,20 @@ class View:
         return self._name(replaced[-1]) if last.changed and replaced else ""
 
     def _robot_line(self) -> Text:
-        if not self._said_by_robot:
+        action = self._latest.action
+        if action is None:
             return Text()
-        return Text.assemble((" Robot ", MUTED), (self._said_by_robot, ROBOT + BOLD))
+        words = action.what if action.action == "behavior" else f"“{action.what}”"
+        return Text.assemble((" Robot ", MUTED), (words, ROBOT + BOLD))
 
     def _keys_lines(self, width: int) -> list[Text]:
         """Return which key says what the touch on the screen was; blank lines while there is no touch."""
         if self.labeller is None:
             return []
         lines, touch = [Text(" It was: ", MUTED)], self._touch
+        label = self._latest.labels.get(touch.began.touch) if touch else None
         for key, gesture in keys_of(self.labeller.gestures[self._shown_pad]).items():
-            style = ACCENT if touch and gesture == touch.label else INK
+            style = ACCENT if gesture == label else INK
             entry = Text.assemble((key, style + BOLD), (f" {self._name(gesture)}  ", style))
             # A line ends with two blanks that may be cut off.
             if lines[-1].cell_len + entry.cell_len > width + 2:
@@ -364,6 +337,12 @@ class View:
 
     def _name(self, gesture: str) -> str:
         return name_of(self._words, gesture)
+
+
+def _since_s(began: TouchBegan, sensor_ms: int) -> float:
+    """Return the seconds from a touch's beginning to a time of the sensor's clock, which wraps."""
+    half = CLOCK_MODULUS // 2
+    return ((sensor_ms - began.sensor_ms + half) % CLOCK_MODULUS - half) / 1000
 
 
 def _fitted(lines: Sequence[Text], width: int, height: int) -> list[Text]:

@@ -25,11 +25,12 @@ from touchd.daemon.app.config import ConfigError, LiveSettings, Settings
 from touchd.daemon.commands.settings import load_model
 from touchd.daemon.live import viewers
 from touchd.daemon.live.address import LiveError, is_own_host, listen, own_names, parse_address
-from touchd.daemon.live.memory import PREDICTIONS, TOUCHES, Memory, Scene
+from touchd.daemon.live.memory import Memory, Scene
 from touchd.daemon.live.page import FOLDER
 from touchd.daemon.live.server import CAPACITY, HANDSHAKE_S, MOST_CONNECTIONS, LiveServer
 from touchd.daemon.live.viewers import MOST_VIEWERS
 from touchd.daemon.path.events import SensorEvent, TouchBegan, TouchEnded, encode
+from touchd.daemon.sinks.touches import PREDICTIONS, TOUCHES
 
 BEGAN = TouchBegan(touch=1, time=TIME, sensor_ms=7)
 ENDED = TouchEnded(touch=1, gesture="pat", frames=60, reason="released", time=TIME)
@@ -350,7 +351,7 @@ def test_a_port_in_use_is_reported_in_one_line(command: str, capfd: pytest.Captu
     said = capfd.readouterr().err.splitlines()
     assert len(said) == 1
     assert f"cannot listen on 127.0.0.1 port {port}: another program does" in said[0]
-    assert "--live 8061" in said[0]
+    assert "--live 127.0.0.1:8061" in said[0]
 
 
 def test_a_name_with_an_ipv6_address_alone_is_served(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -275,6 +275,7 @@ ANSWER = replace(PREDICTION, touch=1)
 CLOSE = {"pat": 0.45, "rub": 0.5, "stroke": 0.05}
 STANDS = replace(ANSWER, stage="final", gesture="pat", confidence=0.45, probabilities=CLOSE)
 SAYS = RobotAction(touch=1, action="say", what="Das war <b>Tätscheln</b>.", time=TIME)
+LIGHTS = RobotAction(touch=1, action="leds", what="green", time=TIME)
 LATE = replace(ANSWER, stage="released", gesture="stroke", frames=32, elapsed_s=0.6, age_ms=900.0)
 GUESS = replace(ANSWER, stage="uncertain", gesture="uncertain", perhaps="pat")
 UNSURE = replace(ANSWER, gesture="uncertain")
@@ -304,7 +305,7 @@ def showing(chrome: Chrome, *events: Event, **settings: Any) -> Iterator[Served]
             [BEGAN, STANDS],
             {"#chances-when": "the answer stands: the likeliest leads by 5 points, 10 are needed"},
         ),
-        ({}, [BEGAN, STANDS, SAYS], {"#says": "“Das war <b>Tätscheln</b>.”"}),
+        ({}, [BEGAN, STANDS, SAYS, LIGHTS], {"#says": "“Das war <b>Tätscheln</b>.”"}),
         (
             ROBOT,
             [RobotEvent(state="up", time=TIME), BEGAN, LATE],

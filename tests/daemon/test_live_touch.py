@@ -13,7 +13,7 @@ from rigs.browser import show_in
 from rigs.programs import TOUCHD, Program
 from rigs.running_daemon import SERVED
 from rigs.sensor_rig import next_frames, sensing
-from rigs.wait import SOON_S, WITHIN_S, wait_for
+from rigs.wait import AT_ONCE_S, SOON_S, WITHIN_S, wait_for
 from selenium.webdriver import Chrome
 from selenium.webdriver.common.by import By
 from websockets.exceptions import ConnectionClosed
@@ -257,7 +257,7 @@ def test_a_viewer_that_sends_something_else_is_disconnected(message: str, why: s
             viewer.send(message)
             with pytest.raises(ConnectionClosed, match=why):
                 viewer.recv(timeout=WITHIN_S)
-        page.stop()
+        page.stop(AT_ONCE_S)
 
 
 def test_a_viewer_who_leaves_or_hangs_stops_pressing(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -29,7 +29,7 @@ from touchd.daemon.robot.words import name_of, words_of
 from touchd.daemon.sinks.labels import Labeller, keys_of
 from touchd.daemon.view.elements import big
 from touchd.daemon.view.view import View
-from touchd.drivers.frame import DEFAULT_PAD, Frame
+from touchd.drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, Frame
 
 SIZES = [(10, 5), (1, 1), (60, 24), (80, 24), (100, 30), (120, 40), (200, 60), (40, 16), (30, 8)]
 MARKS = (54, 81, 144)
@@ -67,13 +67,15 @@ def view_of(width: int, height: int, colours: str | None = None) -> tuple[View, 
 def touch(view: View) -> None:
     view.put(SensorEvent(state="up", time="", reason="x" * 200))
     view.put(RobotEvent(state="up", time=""))
-    view.show_frame(np.zeros((8, 8), np.uint16), 0)
-    view.put(TouchBegan(touch=7, time="", sensor_ms=0))
+    # The pad's clock wraps in the touch.
+    view.show_frame(np.zeros((8, 8), np.uint16), CLOCK_MODULUS - 100)
+    view.put(TouchBegan(touch=7, time="", sensor_ms=CLOCK_MODULUS - 100))
     for number in range(1, 160):
-        view.show_frame(np.full((8, 8), 90, np.uint16), 18 * number)
+        view.show_frame(np.full((8, 8), 90, np.uint16), (18 * number - 100) % CLOCK_MODULUS)
     view.put(prediction("early", 54, "pat"))
     view.put(prediction("final", 144, "stroke"))
     view.put(RobotAction(touch=7, action="say", what="Oh, it is a stroke!", time=""))
+    view.put(RobotAction(touch=7, action="leds", what="green", time=""))
 
 
 def screen(view: View, console: Console) -> list[str]:

@@ -47,11 +47,10 @@ export function showAnswer(store) {
 
 /** Show what the robot says, as a bubble, or what it does. */
 function showAction(action) {
-  const isSaid = action?.action === "say" || action?.action === "animated_say";
-  const isShown = isSaid || action?.action === "behavior";
-  $("says").hidden = !isShown;
-  $("says").classList.toggle("deed", isShown && !isSaid);
-  say($("says"), isSaid ? `“${action.what}”` : isShown ? `does ${action.what.split("/").at(-1)}` : "");
+  const isDeed = action?.action === "behavior";
+  $("says").hidden = action === null;
+  $("says").classList.toggle("deed", isDeed);
+  say($("says"), isDeed ? `does ${action.what.split("/").at(-1)}` : action ? `“${action.what}”` : "");
   $("says").style.setProperty("--letters", $("says").textContent.length);
 }
 

@@ -1,6 +1,6 @@
 // A pad's data: the scene, the last touches, and the last frames.
 
-export const TAXELS = 64;
+const TAXELS = 64;
 const TOUCHES = 40;
 const PAD_AT = 4 + 2 * TAXELS;
 const FRAME_BYTES = PAD_AT + 1;
@@ -22,7 +22,7 @@ export class Store {
   sensor = null;
   robot = null;
   status = null;
-  /** The robot's latest action on the last touch. */
+  /** What the robot said or did last about the last touch. */
   action = null;
   touches = [];
   live = null;
@@ -82,7 +82,7 @@ export class Store {
         this.robot = message;
         break;
       case "robot_action":
-        this.action = message;
+        if (message.action !== "leds") this.action = message;
         break;
       case "status":
         this.status = message;
