@@ -38,7 +38,6 @@ from touchd.model.training.weights import left_out_split
 FILE = STORED / "others.json"
 LENGTHS = (54, 144)
 SURE, VERY_SURE = 0.6, 0.65
-SHOWN_LIMITS = (0.1, 0.2, 0.3, 0.5)
 MADE = 72
 SPEEDS_S = (1.0, 1.5, 2.0, 3.0, 5.0)
 CARESSES = 24
@@ -83,21 +82,12 @@ class Lost(msgspec.Struct, frozen=True, kw_only=True):
     by_gesture: dict[str, float]
 
 
-class Curve(msgspec.Struct, frozen=True, kw_only=True):
-    """At one limit of the probability of `other`: percent of the eight named, and of the six lost."""
-
-    limit: float
-    named: float
-    lost: float
-
-
 class Measured(msgspec.Struct, frozen=True, kw_only=True):
     """The figures, as they are stored."""
 
     model: str
     windows: list[Windows]
     lost: list[Lost]
-    curve: list[Curve]
     streams: Told
     made: dict[str, Told]
     blows_called_pat: float
@@ -174,21 +164,6 @@ def lost(people: str, split: Split) -> Lost:
             str(name): _percent(is_lost[asked.gestures == name]) for name in np.unique(asked.gestures)
         }
     return Lost(people=people, after=after, by_gesture=by_gesture)
-
-
-def curve(others: Split, known: Split) -> list[Curve]:
-    """Return the share named over the share lost, for limits of the probability of `other`."""
-    strange, usual = ask(others, LENGTHS[-1]), ask(known, LENGTHS[-1])
-    touched = usual.other[usual.gestures != NO_TOUCH]
-    limits = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.7, 0.9)
-    return [
-        Curve(
-            limit=limit,
-            named=_percent((strange.named >= SURE) & (strange.other < limit)),
-            lost=_percent(touched >= limit),
-        )
-        for limit in limits
-    ]
 
 
 def told(played: Sequence[Sequence[Event]], right: str = "") -> Told:
@@ -297,7 +272,6 @@ def measure(folders: Folders, weights: Path, firm: Path | None) -> Measured:
         model=shipped.name,
         windows=[windows(strange, third, length) for length in LENGTHS],
         lost=[lost(name, split) for name, split in people.items()],
-        curve=curve(strange, third),
         streams=told(_other_streams(folders)),
         made={"blow": told(blows), "squeeze": told(squeezes)},
         blows_called_pat=_percent(np.array([any(map(_is_sure_pat, events)) for events in blows])),
@@ -352,16 +326,8 @@ def tables(measured: Measured) -> dict[str, str]:
     rows += [("hug, grab, squeeze, punch on a firm pad", measured.firm_pad)] if measured.firm_pad else []
     heads = ("touch", "number", "told a gesture, %", "with 0.65 or more", "told other")
     speeds = measured.caresses
-    shown = [point for point in measured.curve if point.limit in SHOWN_LIMITS]
     return {
         "others": table(heads, [(name, t.n, t.known, t.known_very_sure, t.other) for name, t in rows]),
-        "trade": table(
-            ("`other` counts from", *(f"{point.limit:g}" for point in shown)),
-            [
-                ("of the eight others, named, %", *(f"{point.named}" for point in shown)),
-                ("of the six, lost, %", *(f"{point.lost}" for point in shown)),
-            ],
-        ),
         "caresses": table(
             ("a caress of", *(f"{seconds} s" for seconds in speeds)),
             [("told stroke, %", *(f"{told.right}" for told in speeds.values()))],
