@@ -52,38 +52,20 @@ TRAINING = (
 )
 # These share a browser, which takes a processor's seconds to start.
 BROWSING = ("test_live_page.py", "test_live_touch.py", "test_live_label.py")
-# The slowest files, slowest first: if they started last, one worker would finish late. Files that compute and
-# files that mostly wait take turns, so that the workers seldom all wait.
+# The slowest files, slowest first: if they started last, one worker would finish late.
 LONGEST = (
     *BROWSING,
     *TRAINING,
     "test_init.py",
-    "test_search.py",
-    "test_sensor.py",
-    "test_foreign_pads.py",
     "test_end_to_end.py",
-    "test_bridge_mqtt.py",
-    "test_hostile_peers.py",
-    "test_doctor_line.py",
-    "test_record_session.py",
-    "test_scores.py",
     "test_bridges.py",
-    "test_monitor.py",
-    "test_fake_pad.py",
-    "test_first_day.py",
-    "test_port.py",
-    "test_service.py",
+    "test_sensor.py",
+    "test_search.py",
     "test_robot.py",
-    "test_cli.py",
-    "test_firmware.py",
-    "test_pipeline.py",
-    "test_doctor.py",
-    "test_board_restarts.py",
-    "test_pads.py",
-    "test_pad_formats.py",
-    "test_plot.py",
-    "test_detection.py",
-    "test_sessions.py",
+    "test_foreign_pads.py",
+    "test_hostile_peers.py",
+    "test_service.py",
+    "test_robot_wire.py",
 )
 
 
