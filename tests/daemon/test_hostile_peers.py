@@ -208,7 +208,7 @@ def test_running_out_of_descriptors_neither_floods_the_log_nor_lasts(tmp_path: P
         pid = daemon.process.pid
         most = len(list(Path(f"/proc/{pid}/fd").iterdir())) + 4
         resource.prlimit(pid, resource.RLIMIT_NOFILE, (most, most))
-        for _ in range(40):
+        for _ in range(10):
             closing.enter_context(socket.create_connection(("127.0.0.1", port), 5.0))
         wait_for(lambda: "Too many open files" in daemon.log)
         closing.close()

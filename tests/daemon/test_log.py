@@ -11,6 +11,7 @@ from rigs.wait import WITHIN_S
 
 from touchd.daemon.app.cli import main
 from touchd.daemon.app.log import MOST_LINES, LogGate, LogWriter
+from touchd.daemon.sinks.sink import LinesSink
 from touchd.drivers.errors import MAX_LINE_BYTES, one_line
 
 HOSTILE = "one\nERROR root: forged\r\x1b]0;title\x07\x1b[2J\u202egnp.exe\x00\ud800\x9b31m"
@@ -119,3 +120,18 @@ def test_one_place_cannot_flood_the_log(monkeypatch: pytest.MonkeyPatch) -> None
 def test_debugging_is_not_limited() -> None:
     gate = LogGate()
     assert all(gate.filter(record("detail", level=logging.DEBUG)) for _ in range(10 * MOST_LINES))
+
+
+def test_lines_of_the_log_that_nobody_read_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(LinesSink, "capacity", 3)
+    reader, writer = os.pipe()
+    log = LogWriter(writer)
+    for number in range(10):
+        log.handle(record(f"line {number}", line=number))
+    log.start()
+    log.stop(WITHIN_S)
+    os.close(writer)
+    with open(reader) as file:
+        lines = [line.partition(": ")[2] for line in file.read().splitlines()]
+    gap = "7 lines of the log were dropped: nobody read them"
+    assert lines == [gap, "line 7", "line 8", "line 9"]
