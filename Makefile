@@ -89,7 +89,7 @@ format: $(DEVELOPMENT)
 	$(BIN)/ruff format .
 
 bench: $(RUNTIME)
-	@$(BIN)/python -m touchd.model.studies bench
+	@$(BIN)/touchd bench
 
 # With the memory settings of the unit.
 soak: $(RUNTIME)

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeAlias
 
 import msgspec
 
@@ -42,6 +42,7 @@ FABRIC = "fabric-grid"
 # Errors of a machine that has no descriptors or memory left.
 NO_ROOM = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)
 
+Language: TypeAlias = Literal["en", "de"]
 # Not gt=0, here and elsewhere: msgspec makes that the smallest denormal float, which equals 0 once the model
 # is loaded and denormals count as zero.
 Length = Annotated[float, msgspec.Meta(ge=0.001, le=10_000)]
@@ -164,6 +165,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     ros2: Ros2Settings | None = None
     rosbridge: RosbridgeSettings | None = None
     name: RobotName = "touchd"
+    language: Language = "en"
     words: dict[str, Words] = {}
 
     def __post_init__(self) -> None:

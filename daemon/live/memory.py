@@ -97,7 +97,5 @@ class Memory(Latest):
 def _guess(words: Vocabulary, gesture: str) -> str:
     """Return the words for an unsure gesture; only touchd's own English goes into an English sentence."""
     name = name_of(words, gesture)
-    shipped = SHIPPED.get(gesture)
-    if shipped is None or name != shipped.name:
-        return f"{name}?"
-    return f"{shipped.phrase[0].upper()}{shipped.phrase[1:]}, perhaps?"
+    shipped_name, phrase = SHIPPED["en"].get(gesture, ("", ""))
+    return f"{phrase[0].upper()}{phrase[1:]}, perhaps?" if name == shipped_name else f"{name}?"

@@ -66,6 +66,11 @@ class Service:
         finally:
             self._end()
 
+    def _frames_together(self, pad: PadChannel) -> int:
+        """How many frames a pad's reader may read at once: one while somebody is shown them."""
+        is_shown = any(bridge.frames_hz is not None for bridge in self.parts.bridges)
+        return 1 if is_shown or self._viewers() else pad.pipeline.frames_together
+
     def _viewers(self) -> list[Callable[[LivePrediction], None]]:
         """Return the current viewers of live predictions."""
         return [each.put for each in self.watchers if each.is_watched]
@@ -98,6 +103,8 @@ class Service:
             pad.pipeline.on_frame(item)
             pad.frames += 1
             self._show(pad, item)
+            if not len(pad.queue):
+                pad.sensor.frames_together = self._frames_together(pad)
             if dropped := pad.queue.dropped:
                 why = "the machine is too busy, or the pad sends too many"
                 over = f"{pad.name}: no frames are dropped any more; {dropped} were"

@@ -1,4 +1,4 @@
-"""The daemon in a separate process, for the demo, measurements and end-to-end tests."""
+"""The daemon in a separate process, for the demo, the bench and end-to-end tests."""
 
 import os
 import subprocess

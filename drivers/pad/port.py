@@ -201,6 +201,11 @@ def forget_waiting(opened: Line) -> None:
         raise _gone(str(opened.port), error) from error
 
 
+def reads_all(opened: Line) -> bool:
+    """Whether one read returns all that has arrived, as on a serial port; over UDP it is a datagram."""
+    return not isinstance(opened, NetworkPort) or opened.is_stream
+
+
 def _gone(port: str, error: Exception) -> SensorError:
     """Return an error of reading an opened port: whatever its number, the device or the other end is gone."""
     number = errno.ECONNRESET if isinstance(error, ConnectionResetError) else errno.EIO

@@ -15,6 +15,7 @@ from touchd.drivers.pad.port import (
     open_port,
     other_ports,
     read_waiting,
+    reads_all,
 )
 from touchd.drivers.queue import DroppingQueue, Signal
 
@@ -25,6 +26,9 @@ FIRST_RETRY_S = 0.1
 PAUSED_S = 1.0
 # After a read of FLOOD_BYTES, sleep FLOOD_REST times the parse time, at most LONGEST_REST_S.
 FLOOD_BYTES, FLOOD_REST, LONGEST_REST_S = 16384, 9, 0.25
+# A frame's time at 54 Hz, with a little for jitter. Linux keeps 4096 bytes of a port: sleep no longer than
+# half as many take to come.
+FRAME_S, HALF_BUFFER_BYTES = 0.0186, 2048
 
 
 class FrameQueue(DroppingQueue[Frame | SensorState]):
@@ -47,6 +51,7 @@ class Sensor:
     after another program took bytes. After reopen_after_s without a byte the port is reopened, which restarts
     an Arduino that hangs; after frameless_s without a frame too, for another program may have set it
     differently. A frame's host_s is when its last byte was read.
+    frames_together: how many frames may be read at once, of a pad with a clock.
     parser: turns the port's bytes into frames; its counts may be read from any thread.
     """
 
@@ -58,6 +63,8 @@ class Sensor:
         self.parser = parser
         self._queue = queue
         self._is_up = False
+        # Set by the thread that takes the frames: asking it here would hold that thread up.
+        self.frames_together = 1
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="touchd-sensor", daemon=True)
 
@@ -122,9 +129,7 @@ class Sensor:
                 if frames and now_s - shared_s > self.silence_s:
                     has_bytes, frame_s = False, now_s
                     self._hand_over(frames)
-                if len(data) >= FLOOD_BYTES:
-                    # Leave the processor to others.
-                    self._stop.wait(min(FLOOD_REST * (time.monotonic() - now_s), LONGEST_REST_S))
+                self._rest(opened, len(data), took_s, now_s, has_frames=bool(frames))
             if now_s - byte_s > self.reopen_after_s or now_s - frame_s > self.frameless_s:
                 return
             if now_s - max(frame_s, reported_s) > self.silence_s:
@@ -133,6 +138,14 @@ class Sensor:
                 if now_s - byte_s > self.silence_s:
                     cause, what = "silent", f"no data for {self.silence_s:g} s"
                 self._report_down(cause, f"{self._port}{at_baud(self._port, self._baud)}: {what}")
+
+    def _rest(self, opened: Line, size: int, took_s: float, now_s: float, *, has_frames: bool) -> None:
+        """Sleep after a read of `size` bytes that came within `took_s`: for more frames, or in a flood."""
+        if size >= FLOOD_BYTES:
+            # Leave the processor to others.
+            self._stop.wait(min(FLOOD_REST * (time.monotonic() - now_s), LONGEST_REST_S))
+        elif has_frames and self.frames_together > 1 and self.parser.dates_frames and reads_all(opened):
+            time.sleep(min(FRAME_S * self.frames_together, took_s * HALF_BUFFER_BYTES / size))
 
     def _hand_over(self, frames: list[Frame]) -> None:
         if not self._is_up:

@@ -20,7 +20,6 @@ STUDIES = {
     "accuracy": ("studies.accuracy", "accuracy.md: the stored scores as tables and figures"),
     "challenge": ("studies.challenge.table", "report.md: the challenge's systems, the paper's table 1"),
     "paper": ("studies.paper", "report.md: the paper's network, its table 3"),
-    "bench": ("studies.bench", "speed.md: latency, processor, memory and start-up of the daemon"),
     "speed": ("studies.speed", "speed.md: the time of one answer, ours and others'"),
     "decision": ("studies.decision", "decision.md: how early the robot is told, and how often rightly"),
     "adapting": ("studies.adapting", "adapt.md: what adapting to a person gains and costs"),

@@ -56,13 +56,12 @@ def test_labels_that_teach_nothing_are_warned_of_once(caplog: pytest.LogCaptureF
 def test_a_key_says_what_the_touch_on_the_screen_was(tmp_path: Path) -> None:
     journal = tmp_path / "events.jsonl"
     config = tmp_path / "touchd.yaml"
-    words = "words: {pat: {name: Tätscheln, phrase: Tätscheln}}"
     with playing(LENGTHS, 2.0) as port:
         config.write_text(
-            f"sensor: {{port: {port.path}}}\njournal: {{path: {journal}, keep_touches: 20}}\n{words}\n"
+            f"sensor: {{port: {port.path}}}\njournal: {{path: {journal}, keep_touches: 20}}\nlanguage: de\n"
         )
         with Terminal("run", "--view", "-c", str(config)) as terminal:
-            terminal.until("It was: 1 still hand")
+            terminal.until("It was: 1 ruhende Hand")
             # Neither arrow keys nor keys without a gesture say anything.
             for keys in (b"\x1b[A", b"z", b"2"):
                 os.write(terminal._master, keys)

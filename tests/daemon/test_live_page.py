@@ -269,7 +269,6 @@ def test_the_visitors_view_hides_the_vitals(played: WatchedPage) -> None:
 
 BEGAN = TouchBegan(touch=1, time=TIME, sensor_ms=0)
 ENDED = TouchEnded(touch=1, gesture="uncertain", frames=150, reason="released", time=TIME)
-OWN_WORDS = {"pat": Words(name="Tätscheln", phrase="Tätscheln")}
 ROBOT = {"robot": RobotSettings(url="tcp://127.0.0.1:1")}
 ANSWER = replace(PREDICTION, touch=1)
 CLOSE = {"pat": 0.45, "rub": 0.5, "stroke": 0.05}
@@ -299,7 +298,7 @@ def showing(chrome: Chrome, *events: Event, **settings: Any) -> Iterator[Served]
     ("settings", "events", "texts"),
     [
         ({}, [SensorEvent(state="down", time=TIME)], {"#gesture": "The pad is down"}),
-        ({"words": OWN_WORDS}, [BEGAN, STANDS], {"#gesture": "Tätscheln", "#bars .best": "Tätscheln"}),
+        ({"language": "de"}, [BEGAN, STANDS], {"#gesture": "Tätscheln", "#bars .best": "Tätscheln"}),
         (
             {},
             [BEGAN, STANDS],
@@ -315,7 +314,7 @@ def showing(chrome: Chrome, *events: Event, **settings: Any) -> Iterator[Served]
         # An answer that was not told was not there before.
         ({}, [BEGAN, replace(ANSWER, told=False), GUESS], {"#flags li + li": "A pat", "#flags .changed": ""}),
         ({}, [BEGAN, GUESS, ENDED], dict.fromkeys(NAMED, "A pat, perhaps?")),
-        ({"words": OWN_WORDS}, [BEGAN, GUESS, ENDED], dict.fromkeys(NAMED, "Tätscheln?")),
+        ({"language": "de"}, [BEGAN, GUESS, ENDED], dict.fromkeys(NAMED, "Tätscheln?")),
         # Its confidence is another gesture's.
         ({}, [BEGAN, UNSURE, ENDED], dict.fromkeys(NAMED, "not sure")),
     ],

@@ -157,23 +157,27 @@ def test_every_answer_is_to_the_touchs_own_frames(
         assert (end.frames + 13, end.gesture) == (expected[-1][1], "stroke")
 
 
-@pytest.mark.parametrize(
-    ("speak_above", "final_above", "off_frames", "gesture"),
-    [
-        pytest.param(0.65, 0.4, 13, "stroke", id="sure, at once"),
-        pytest.param(0.95, 0.9, 27, "stroke", id="less sure, after half a second"),
-        pytest.param(0.97, 0.96, 43, "uncertain", id="unsure, at the touch's end"),
-    ],
-)
-def test_a_hand_that_left_is_answered_sooner_if_surely(
-    speak_above: float, final_above: float, off_frames: int, gesture: str
-) -> None:
-    bench = Bench(decision=DecisionSettings(speak_above=speak_above, final_above=final_above))
-    assert predictions(bench.feel(palm(0.5), nothing((off_frames - 1) / 54))) == []
-    answer, *end = bench.feel(nothing(1 / 54))
-    assert (answer.gesture, answer.told) == (gesture, True)
-    assert (answer.perhaps, len(end)) == (("stroke", 1) if gesture == "uncertain" else ("", 0))
-    assert len(end + bench.feel(nothing(1.0))) == 1
+def test_a_hand_that_has_left_is_answered_at_once() -> None:
+    bench = Bench()
+    events = bench.feel(palm(0.5), nothing(14 / 54))
+    assert told(events) == [("released", "stroke")]
+    assert ended(events) == []
+
+
+def test_an_unsure_answer_to_a_hand_that_has_left_waits_for_half_a_second() -> None:
+    bench = Bench(decision=DecisionSettings(speak_above=0.95, final_above=0.9))
+    assert predictions(bench.feel(palm(0.5), nothing(0.45))) == []
+    events = bench.feel(nothing(0.1))
+    assert (told(events), ended(events)) == ([("released", "stroke")], [])
+    (end,) = bench.feel(nothing(1.0))
+    assert ended([end]) == [end]
+
+
+def test_an_answer_too_unsure_for_an_ended_touch_waits_for_its_end() -> None:
+    bench = Bench(decision=DecisionSettings(speak_above=0.97, final_above=0.96))
+    assert predictions(bench.feel(palm(0.5), nothing(0.7))) == []
+    (answer,) = predictions(bench.feel(nothing(0.5)))
+    assert (answer.gesture, answer.told, answer.perhaps) == ("uncertain", True, "stroke")
 
 
 def test_a_hand_that_comes_back_goes_on_with_its_touch() -> None:
@@ -184,9 +188,14 @@ def test_a_hand_that_comes_back_goes_on_with_its_touch() -> None:
 
 
 def test_a_hand_that_left_long_ago_is_not_answered_at_once() -> None:
-    bench = Bench()
-    bench.now_s += 500.0
-    assert predictions(bench.feel(palm(0.5), nothing(0.4))) == []
+    emitted: list[Event] = []
+    late = Clock(monotonic_s=lambda: 500.0)
+    pipeline = Pipeline(PipelineSettings(), Scripted(), emitted.append, late, detector=PressureDetector())
+    for number, counts in enumerate(
+        MadePad().counts(np.concatenate([nothing(2.0), palm(0.5), nothing(0.4)]))
+    ):
+        pipeline.on_frame(Frame(round(number * 1000 / 54), number / 54, counts))
+    assert predictions(emitted) == []
 
 
 def test_an_answer_due_in_a_pause_is_deferred() -> None:
@@ -215,6 +224,65 @@ def test_the_model_has_all_but_one_frame_when_an_answer_is_due(
     assert max(after - before for before, after in pairwise(lengths)) == 9
 
 
+PERIOD_S, READ_S = 1 / 54, 0.0186
+
+
+def read_as_it_comes(scans: Counts, *, together: bool, **settings: Any) -> list[tuple[Event, float]]:
+    """Return the events of a pad at 54 Hz, each with how long after its frame's arrival it came, in s.
+
+    together: whether frames are read as many at once as the pipeline allows; otherwise one by one.
+    """
+    now_s, read_s, late = 0.0, 0.0, list[tuple[Event, float]]()
+
+    def emit(event: Event) -> None:
+        late.append((event, read_s - now_s))
+
+    pipeline = Pipeline(PipelineSettings(**settings), Scripted(), emit, STOPPED, detector=PressureDetector())
+    rests_until_s = 0.0
+    for number, counts in enumerate(scans):
+        now_s = number * PERIOD_S
+        if now_s >= rests_until_s:
+            # All that has arrived is read here, and the rest begins.
+            read_s = now_s
+            several = pipeline.frames_together if together else 1
+            rests_until_s = now_s + (READ_S * several if several > 1 else 0.0)
+        else:
+            read_s = rests_until_s
+        pipeline.on_frame(Frame(round(1000 * now_s), 99.998, counts))
+    return late
+
+
+@pytest.mark.parametrize(
+    ("pressures", "settings"),
+    [
+        ([palm(3.5), nothing(2.0)], {}),
+        ([palm(0.4), nothing(3.0), palm(0.1), nothing(3.0)], {}),
+        ([pat(2.0), nothing(4.0), palm(6.0)], {}),
+        ([palm(2.0), nothing(2.0)], {"decision": DecisionSettings(early="when_sure")}),
+    ],
+    ids=["a touch", "short touches", "pats", "when sure"],
+)
+def test_events_do_not_depend_on_how_many_frames_come_at_once(
+    pressures: list[Scans], settings: dict[str, Any]
+) -> None:
+    scans = MadePad().counts(np.concatenate([nothing(12.0), *pressures]))
+    one_by_one, at_once = (read_as_it_comes(scans, together=each, **settings) for each in (False, True))
+    assert [event for event, _ in at_once] == [event for event, _ in one_by_one]
+    assert any(isinstance(event, TouchBegan) for event, _ in at_once)
+    for event, late_s in at_once:
+        assert late_s <= (2 * PERIOD_S if isinstance(event, Prediction) else 0.06), event
+
+
+def test_frames_are_read_one_by_one_only_where_an_answer_may_be_due() -> None:
+    bench = Bench()
+    bench.feel(nothing(10.0))
+    assert bench.pipeline.frames_together == 3
+    bench.feel(palm(0.5))
+    assert bench.pipeline.frames_together == 3
+    bench.feel(palm(0.47))
+    assert bench.pipeline.frames_together == 1
+
+
 class WithoutNoTouch(Scripted):
     """A model that was not trained on untouched pads."""
 
@@ -232,8 +300,11 @@ def test_a_model_without_notouch_names_touches_and_is_not_asked_at_rest() -> Non
 
 
 def test_viewers_see_the_models_answer_to_every_third_frame(classifier: Classifier) -> None:
-    shown, emitted = list[LivePrediction](), list[Event]()
-    scene = DecisionSettings(gestures=("pat", "stroke"))
+    shown, emitted, scene = (
+        list[LivePrediction](),
+        list[Event](),
+        DecisionSettings(gestures=("pat", "stroke")),
+    )
     pipeline = Pipeline(
         PipelineSettings(decision=scene), classifier, emitted.append, STOPPED, viewers=lambda: [shown.append]
     )

@@ -9,13 +9,13 @@ import pytest
 import yaml
 from rigs.made_events import PREDICTION
 
-from touchd.daemon.app.config import Settings, Words
+from touchd.daemon.app.config import Language, Settings, Words
 from touchd.daemon.path.events import Event, RobotAction
 from touchd.daemon.path.feel import Feel
 from touchd.daemon.robot import actions
 from touchd.daemon.robot.actions import MEASURES, Action, ActionRule
 from touchd.daemon.robot.reactions import MOST_TOUCHES, Choice, act_of, spoken
-from touchd.daemon.robot.words import name_of, words_of
+from touchd.daemon.robot.words import SHIPPED, name_of, words_of
 from touchd.model.classifier import Classifier
 
 Rules = tuple[ActionRule, ...]
@@ -82,6 +82,7 @@ FEELS = "{name}: that feels like {phrase}."
         ("{{{gesture}}} {confidence}", "pat", {}, "{pat} 99"),
         (FEELS, "pat", ENGLISH, "pat: that feels like a pat."),
         (FEELS, "tickle", ENGLISH, "tickle: that feels like tickling."),
+        ("Das war {phrase}.", "pat", words_of(Settings(language="de")), "Das war Tätscheln."),
         (FEELS, "pat", words_of(Settings(words=OWN)), "tap: that feels like a tap."),
         (FEELS, "poke", words_of(Settings(words=OWN)), "poke: that feels like poke."),
     ],
@@ -91,8 +92,9 @@ def test_words_are_filled_in(template: str, gesture: str, words: dict[str, Words
     assert spoken(template, gesture, 0.994, words) == said
 
 
-def test_every_answer_of_the_model_has_words() -> None:
-    assert {*Classifier.load().labels, "uncertain"} <= words_of(Settings()).keys()
+@pytest.mark.parametrize("language", ["en", "de"])
+def test_every_answer_of_the_model_has_words(language: Language) -> None:
+    assert {*Classifier.load().labels, "uncertain"} <= words_of(Settings(language=language)).keys()
 
 
 ANY = "[{do: [{say: any}]}]"
@@ -199,6 +201,14 @@ def test_every_kind_of_action_reaches_the_robot_in_order() -> None:
     ]
 
 
+def test_every_language_names_the_same_gestures() -> None:
+    assert len({frozenset(words) for words in SHIPPED.values()}) == 1
+
+
 def test_a_deployments_words_replace_the_shipped_ones() -> None:
-    words = words_of(Settings(words={"stroke": Words(name="caresse", phrase="une caresse")}))
-    assert [name_of(words, gesture) for gesture in ("stroke", "pat", "hug")] == ["caresse", "pat", "hug"]
+    words = words_of(Settings(language="de", words={"stroke": Words(name="caresse", phrase="une caresse")}))
+    assert [name_of(words, gesture) for gesture in ("stroke", "pat", "hug")] == [
+        "caresse",
+        "Tätscheln",
+        "hug",
+    ]

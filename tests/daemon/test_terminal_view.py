@@ -23,7 +23,7 @@ from rich.console import Console
 from rigs.made_events import PREDICTION
 from rigs.wait import WITHIN_S
 
-from touchd.daemon.app.config import Settings
+from touchd.daemon.app.config import Language, Settings
 from touchd.daemon.path.events import Prediction, RobotAction, RobotEvent, SensorEvent, TouchBegan, TouchEnded
 from touchd.daemon.robot.words import name_of, words_of
 from touchd.daemon.sinks.labels import Labeller, keys_of
@@ -57,10 +57,12 @@ def prediction(stage: str, frames: int, gesture: str) -> Prediction:
     )
 
 
-def view_of(width: int, height: int, colours: str | None = None) -> tuple[View, Console]:
+def view_of(
+    width: int, height: int, colours: str | None = None, language: Language = "en"
+) -> tuple[View, Console]:
     colour: dict[str, Any] = {"color_system": colours, "force_terminal": colours is not None}
     console = Console(file=io.StringIO(), width=width, height=height, **colour)
-    view = View("http://127.0.0.1:8054/", words_of(Settings()), MARKS, console)
+    view = View("http://127.0.0.1:8054/", words_of(Settings(language=language)), MARKS, console)
     return view, console
 
 
@@ -187,9 +189,10 @@ def test_the_view_has_room_for_any_gestures(gestures: list[str]) -> None:
     assert any(gestures[-1][:12] in line and "50%" in line for line in lines)
 
 
+@pytest.mark.parametrize("language", ["en", "de"])
 @pytest.mark.parametrize("size", [(80, 24), (60, 18), (120, 40)])
-def test_every_key_that_labels_a_touch_is_shown(size: tuple[int, int]) -> None:
-    view, console = view_of(*size)
+def test_every_key_that_labels_a_touch_is_shown(size: tuple[int, int], language: Language) -> None:
+    view, console = view_of(*size, language=language)
     gestures = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
     view.labeller = Labeller(view.put, {"pad": gestures}, are_kept=True)
     view.on_key("1")
@@ -200,7 +203,7 @@ def test_every_key_that_labels_a_touch_is_shown(size: tuple[int, int]) -> None:
     assert len(shown) == size[1]
     keys = " ".join(shown)
     for key, gesture in keys_of(gestures).items():
-        assert f"{key} {name_of(words_of(Settings()), gesture)} " in keys
+        assert f"{key} {name_of(words_of(Settings(language=language)), gesture)} " in keys
     assert "touch 7 was: " in shown[-1]
 
 

@@ -26,6 +26,7 @@ from touchd.drivers.pad import port as pad_port
 from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import SensorError, check_port, open_port, read_waiting
+from touchd.drivers.pad.sensor import FrameQueue, Sensor
 
 # See ioctl_tty(2); the module termios lacks it.
 TIOCGEXCL = 0x80045440
@@ -210,6 +211,23 @@ def test_a_lost_datagram_loses_only_its_frame() -> None:
             frames += parser.feed(read_waiting(opened, parser), time.monotonic())
     assert_played(frames, STREAM, kept)
     assert parser.counts.bad == 60 - len(kept)
+
+
+def test_a_quiet_udp_pad_is_read_as_fast_as_it_sends() -> None:
+    queue = FrameQueue()
+    with udp_pad() as (address, give):
+        sensor = Sensor(address, 0, FabricGrid(), queue)
+        sensor.frames_together = 3
+        sensor.start()
+        for packet in PACKETS[:80]:
+            give(packet)
+            time.sleep(0.005)
+        sent_s = time.monotonic()
+        while (frame := next_frames(queue, 1)[0]).sensor_ms != STREAM.sensor_ms[79]:
+            pass
+        sensor.stop()
+    # At a datagram for each rest of three frames, the last ones would come four seconds late.
+    assert frame.host_s - sent_s < 2.0
 
 
 def test_resetting_the_input_drops_all_earlier_datagrams() -> None:

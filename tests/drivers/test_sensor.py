@@ -7,6 +7,7 @@ import sys
 import termios
 import threading
 import time
+from collections import Counter
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -33,6 +34,8 @@ from rigs.wait import WITHIN_S, once_in_three, wait_for
 
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import Counts, Frame, SensorState
+from touchd.drivers.pad.format import PRESETS, PadFormat
+from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.sensor import FrameQueue, Sensor
 
 
@@ -59,6 +62,10 @@ def test_up_comes_first_then_every_intact_frame_once(faults: Faults, lost: list[
     assert_played(frames, stream, intact)
 
 
+def without_clock(counts: Counts, sensor_ms: int) -> bytes:
+    return encode_csv_line(counts, sensor_ms).partition(b",")[2]
+
+
 def delays_s(frames: list[Frame], port: FakePort) -> NDArray[np.float64]:
     """Return how long after a frame's last byte was sent it arrived."""
     return np.array([frame.host_s for frame in frames]) - port.sent_s[-len(frames) :]
@@ -81,6 +88,51 @@ def test_frames_after_a_stall_keep_their_true_arrival() -> None:
     assert_played(frames, stream, range(30))
     assert frames[9].host_s < stalled_s <= frames[10].host_s
     assert np.median(delays_s(frames[10:], port)) < 0.01
+
+
+WITHOUT_CLOCK = PadFormat(framing="text", rows=10, columns=10, crop=1)
+
+
+@pytest.mark.parametrize(
+    ("encode", "parser", "together", "read"),
+    [
+        (encode_fabric_grid, FabricGrid(), 3, 3),
+        (encode_csv_line, FrameParser(PRESETS["csv"]), 3, 3),
+        (encode_fabric_grid, FabricGrid(), 1, 1),
+        (without_clock, FrameParser(WITHOUT_CLOCK), 3, 1),
+    ],
+    ids=["quiet", "quiet, text", "touched", "quiet, without a clock"],
+)
+def test_a_quiet_pad_with_a_clock_is_read_three_frames_at_once(
+    encode: Encode, parser: FrameParser, together: int, read: int
+) -> None:
+    queue = FrameQueue()
+
+    def is_as_wanted() -> bool:
+        frames = next_frames(queue, 50)
+        return 0.7 * read < len(frames) / len({frame.host_s for frame in frames}) < 1.7 * read
+
+    with FakePort(stream_of(200), encode, loop=True) as port:
+        sensor = Sensor(port.path, BAUD, parser, queue)
+        sensor.frames_together = together
+        sensor.start()
+        # A busy machine delays some reads, which then bring more frames; shorter ones follow.
+        assert any(is_as_wanted() for _ in range(5))
+        sensor.stop()
+    assert parser.counts.bad == queue.dropped == 0
+
+
+@once_in_three
+def test_a_fast_pads_frames_do_not_fill_its_port_meanwhile() -> None:
+    queue = FrameQueue()
+    with FakePort(stream_of(1000), encode_fabric_grid, speed=9.0) as port:
+        sensor = Sensor(port.path, BAUD, FabricGrid(), queue)
+        sensor.frames_together = 3
+        sensor.start()
+        arrivals_s = [frame.host_s for frame in next_frames(queue, 1000)[800:]]
+        sensor.stop()
+    # Linux keeps 4096 bytes, which are 19 frames. A busy machine delays some of the reads.
+    assert np.quantile(list(Counter(arrivals_s).values()), 0.9) < 15
 
 
 def test_a_full_queue_drops_old_frames_but_no_state() -> None:

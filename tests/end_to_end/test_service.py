@@ -22,7 +22,7 @@ from rigs.programs import TOUCHD, Program, ran
 from rigs.service_manager import Manager
 from rigs.wait import AT_ONCE_S, WITHIN_S
 
-from touchd.daemon.app.config import JournalSettings, PadSettings, SensorSettings, Settings
+from touchd.daemon.app.config import JournalSettings, LiveSettings, PadSettings, SensorSettings, Settings
 from touchd.daemon.app.parts import PadChannel
 from touchd.daemon.app.systemd import Health, Notifier
 from touchd.daemon.path.events import SensorEvent, TouchEnded, encode
@@ -170,6 +170,17 @@ def test_dropped_frames_are_logged_until_the_queue_is_empty(caplog: pytest.LogCa
     processed, _, dropped = re.findall(r"\d+", in_all)
     assert ended.startswith(f"pad: no frames are dropped any more; {dropped} were")
     assert int(processed) + int(dropped) == 600
+
+
+def test_a_page_that_nobody_watches_does_not_hurry_the_reader() -> None:
+    rest = splice(simulate((("notouch", 5.0),), seed=1))
+    with FakePort(rest, encoder_for(SensorSettings())) as port:
+        sensor = SensorSettings(port=port.path)
+        service = Service(Settings(sensor=sensor, live=LiveSettings(port=0), journal=None))
+        (pad,) = service.pads
+        until_s = time.monotonic() + WITHIN_S
+        service.run(lambda: pad.sensor.frames_together > 1 or time.monotonic() > until_s)
+    assert pad.sensor.frames_together > 1
 
 
 def needs(program: str) -> pytest.MarkDecorator:

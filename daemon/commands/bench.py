@@ -1,5 +1,6 @@
-"""Latency, memory and processor time of the real daemon: `python -m touchd.model.studies bench`."""
+"""`touchd bench`: latency, memory and processor time of the real daemon, on a fake pad at 54 Hz."""
 
+import argparse
 import os
 import socket
 import sys
@@ -24,7 +25,6 @@ from touchd.drivers.errors import within
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import FRAME_RATE_HZ
 from touchd.drivers.recording import Stream, read_recordings, splice
-from touchd.model.studies.folders import study_parser
 
 QUIET_S = 20.0
 START_S = 30.0
@@ -34,16 +34,22 @@ STAMP_S = 0.002
 Received = tuple[Event, float, float]
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Measure and print; returns 0 whatever the figures are."""
-    parser = study_parser("bench", "Measures the real daemon on a fake pad at 54 Hz.")
+def parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="touchd bench", description="Measures the real daemon on a fake pad at 54 Hz."
+    )
     parser.add_argument(
         "--seconds",
         type=within(float, 1.0, 86400.0),
         default=120.0,
         help="how long to touch the pad (default 120)",
     )
-    options = parser.parse_args(arguments)
+    return parser
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Measure and print; returns 0 whatever the figures are."""
+    options = parser().parse_args(arguments)
     with Console(stderr=True).status(f"measuring for {QUIET_S + options.seconds:.0f} s"):
         figures = measure(options.seconds)
     for name, value in figures.items():
