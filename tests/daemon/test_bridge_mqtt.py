@@ -3,7 +3,6 @@
 import json
 import os
 import re
-import select
 import socket
 import subprocess
 import time
@@ -301,12 +300,7 @@ def test_a_broker_without_mqtt_5_gets_mqtt_3(port: int, messages: list[Any], ope
         if greeting[8] == 5:
             client.sendall(b"\x20\x02\x00\x01")
             return
-        with socket.create_connection(("127.0.0.1", port)) as real:
-            real.sendall(greeting)
-            while goes_on():
-                for source, other in ((client, real), (real, client)):
-                    if select.select([source], [], [], 0.05)[0]:
-                        other.sendall(source.recv(65536))
+        attackers.forward(client, port, goes_on, greeting)
 
     old = free_port()
     with attackers.server(old, refuse_5):

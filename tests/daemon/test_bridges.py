@@ -2,7 +2,6 @@
 
 import itertools
 import re
-import select
 import socket
 import threading
 import time
@@ -149,14 +148,10 @@ def test_a_frozen_peer_later_gets_one_stale_event_at_most(
     real, peer.port = peer.port, free_port()
     is_frozen = threading.Event()
 
-    def pass_on(client: socket.socket, goes_on: Callable[[], bool]) -> None:
-        with socket.create_connection(("127.0.0.1", real)) as server:
-            while goes_on():
-                for source, other in ((client, server), (server, client)):
-                    if select.select([source], [], [], 0.01)[0] and not is_frozen.is_set():
-                        other.sendall(source.recv(65536))
+    def freezing(client: socket.socket, goes_on: Callable[[], bool]) -> None:
+        attackers.forward(client, real, goes_on, hold=is_frozen.is_set)
 
-    with attackers.server(peer.port, pass_on):
+    with attackers.server(peer.port, freezing):
         bridge = peer.bridge()
         put_until_received(peer, bridge)
         is_frozen.set()

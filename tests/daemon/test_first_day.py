@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rigs.expectations import DEMO, GESTURES
-from rigs.made_events import PREDICTION
 from rigs.patient_port import playing
 from rigs.programs import TOUCHD, WITHOUT_EXTRAS, Program, ran
 from rigs.terminal import Terminal
@@ -21,7 +20,6 @@ from touchd.daemon import commands
 from touchd.daemon.app import cli
 from touchd.daemon.app.config import (
     ConfigError,
-    JournalSettings,
     SensorSettings,
     Settings,
     load,
@@ -30,8 +28,6 @@ from touchd.daemon.app.parts import check_pad
 from touchd.daemon.commands.settings import find_settings
 from touchd.daemon.doctor.check import Sample
 from touchd.daemon.doctor.line import check_rate
-from touchd.daemon.path.events import encode
-from touchd.daemon.sinks.journal import JournalError, open_journal
 from touchd.drivers.frame import Frame
 from touchd.drivers.installed import TORCH_ON_CPU, how_to_install, program_name
 
@@ -137,33 +133,6 @@ def test_a_printed_path_is_relative_only_beside_its_environment(monkeypatch: pyt
         monkeypatch.setattr(sys, "executable", python)
         monkeypatch.setattr(Path, "cwd", lambda folder=folder: Path(folder))
         assert program_name() == name
-
-
-def test_the_example_configuration_runs_without_the_service(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    sink = open_journal(load(EXAMPLE).journal)
-    assert sink is not None
-    sink.start()
-    sink.put(PREDICTION)
-    sink.stop(WITHIN_S)
-    assert (tmp_path / "state" / "touchd" / "events.jsonl").read_bytes() == encode(PREDICTION) + b"\n"
-
-
-def test_an_impossible_state_folder_is_reported_with_its_cause(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
-    monkeypatch.setenv("XDG_STATE_HOME", "/proc/state")
-    with pytest.raises(JournalError, match=r"journal /proc/state/touchd/events.jsonl: .*; set journal: null"):
-        open_journal(JournalSettings())
-
-
-def test_the_service_keeps_its_journal_in_its_state_folder(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/touchd")
-    assert JournalSettings().file == Path("/var/lib/touchd/events.jsonl")
 
 
 @pytest.fixture

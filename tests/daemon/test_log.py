@@ -2,11 +2,9 @@
 
 import logging
 import os
-import subprocess
 
 import pytest
 from rigs.made_events import record
-from rigs.programs import TOUCHD
 from rigs.wait import WITHIN_S
 
 from touchd.daemon.app.cli import main
@@ -36,38 +34,6 @@ def test_every_written_line_has_passed_the_gate() -> None:
         lines = file.read().removesuffix("\n").split("\n")
     assert len(lines) == MOST_LINES
     assert all(line.startswith("WARNING library: closed: one") and line.isprintable() for line in lines)
-
-
-def test_systemds_journal_gets_the_level_of_each_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    reader, writer = os.pipe()
-    status = os.fstat(writer)
-    monkeypatch.setenv("JOURNAL_STREAM", f"{status.st_dev}:{status.st_ino}")
-    log = LogWriter(writer)
-    log.start()
-    log.handle(record("ready", level=logging.INFO))
-    failed = record("failed", line=2, level=logging.ERROR)
-    failed.exc_info = (OSError, OSError("gone"), None)
-    log.handle(failed)
-    log.stop(WITHIN_S)
-    os.close(writer)
-    with open(reader, encoding="utf-8") as file:
-        assert file.read().splitlines() == [
-            "<6>INFO library: ready",
-            "<3>ERROR library: failed",
-            "<3>  OSError: gone",
-        ]
-
-
-def test_a_command_that_fails_under_systemd_says_its_level() -> None:
-    reader, writer = os.pipe()
-    status = os.fstat(writer)
-    stream = {"JOURNAL_STREAM": f"{status.st_dev}:{status.st_ino}"}
-    subprocess.run(
-        [*TOUCHD, "run", "-c", "nowhere"], env={**os.environ, **stream}, stderr=writer, check=False
-    )
-    os.close(writer)
-    with open(reader, encoding="utf-8") as file:
-        assert file.read().startswith("<3>touchd: nowhere: cannot be read")
 
 
 @pytest.mark.parametrize(

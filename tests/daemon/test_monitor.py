@@ -189,7 +189,7 @@ def states_of(monitor: PadMonitor, times_ms: Iterable[int], at_s: float = 0.0) -
     return [state for state in states if state is not None]
 
 
-GAPS = "no touch is recognised: frames come with gaps"
+GAPS = "no touch is recognised: frames come with gaps; are they lost on the way, or do two boards send there"
 
 
 @pytest.mark.parametrize(

@@ -157,27 +157,23 @@ def test_every_answer_is_to_the_touchs_own_frames(
         assert (end.frames + 13, end.gesture) == (expected[-1][1], "stroke")
 
 
-def test_a_hand_that_has_left_is_answered_at_once() -> None:
-    bench = Bench()
-    events = bench.feel(palm(0.5), nothing(14 / 54))
-    assert told(events) == [("released", "stroke")]
-    assert ended(events) == []
-
-
-def test_an_unsure_answer_to_a_hand_that_has_left_waits_for_half_a_second() -> None:
-    bench = Bench(decision=DecisionSettings(speak_above=0.95, final_above=0.9))
-    assert predictions(bench.feel(palm(0.5), nothing(0.45))) == []
-    events = bench.feel(nothing(0.1))
-    assert (told(events), ended(events)) == ([("released", "stroke")], [])
-    (end,) = bench.feel(nothing(1.0))
-    assert ended([end]) == [end]
-
-
-def test_an_answer_too_unsure_for_an_ended_touch_waits_for_its_end() -> None:
-    bench = Bench(decision=DecisionSettings(speak_above=0.97, final_above=0.96))
-    assert predictions(bench.feel(palm(0.5), nothing(0.7))) == []
-    (answer,) = predictions(bench.feel(nothing(0.5)))
-    assert (answer.gesture, answer.told, answer.perhaps) == ("uncertain", True, "stroke")
+@pytest.mark.parametrize(
+    ("speak_above", "final_above", "off_frames", "gesture"),
+    [
+        pytest.param(0.65, 0.4, 13, "stroke", id="sure, at once"),
+        pytest.param(0.95, 0.9, 27, "stroke", id="less sure, after half a second"),
+        pytest.param(0.97, 0.96, 43, "uncertain", id="unsure, at the touch's end"),
+    ],
+)
+def test_a_hand_that_left_is_answered_sooner_if_surely(
+    speak_above: float, final_above: float, off_frames: int, gesture: str
+) -> None:
+    bench = Bench(decision=DecisionSettings(speak_above=speak_above, final_above=final_above))
+    assert predictions(bench.feel(palm(0.5), nothing((off_frames - 1) / 54))) == []
+    answer, *end = bench.feel(nothing(1 / 54))
+    assert (answer.gesture, answer.told) == (gesture, True)
+    assert (answer.perhaps, len(end)) == (("stroke", 1) if gesture == "uncertain" else ("", 0))
+    assert len(end + bench.feel(nothing(1.0))) == 1
 
 
 def test_a_hand_that_comes_back_goes_on_with_its_touch() -> None:
@@ -188,14 +184,9 @@ def test_a_hand_that_comes_back_goes_on_with_its_touch() -> None:
 
 
 def test_a_hand_that_left_long_ago_is_not_answered_at_once() -> None:
-    emitted: list[Event] = []
-    late = Clock(monotonic_s=lambda: 500.0)
-    pipeline = Pipeline(PipelineSettings(), Scripted(), emitted.append, late, detector=PressureDetector())
-    for number, counts in enumerate(
-        MadePad().counts(np.concatenate([nothing(2.0), palm(0.5), nothing(0.4)]))
-    ):
-        pipeline.on_frame(Frame(round(number * 1000 / 54), number / 54, counts))
-    assert predictions(emitted) == []
+    bench = Bench()
+    bench.now_s += 500.0
+    assert predictions(bench.feel(palm(0.5), nothing(0.4))) == []
 
 
 def test_an_answer_due_in_a_pause_is_deferred() -> None:
@@ -300,11 +291,8 @@ def test_a_model_without_notouch_names_touches_and_is_not_asked_at_rest() -> Non
 
 
 def test_viewers_see_the_models_answer_to_every_third_frame(classifier: Classifier) -> None:
-    shown, emitted, scene = (
-        list[LivePrediction](),
-        list[Event](),
-        DecisionSettings(gestures=("pat", "stroke")),
-    )
+    shown, emitted = list[LivePrediction](), list[Event]()
+    scene = DecisionSettings(gestures=("pat", "stroke"))
     pipeline = Pipeline(
         PipelineSettings(decision=scene), classifier, emitted.append, STOPPED, viewers=lambda: [shown.append]
     )

@@ -1,12 +1,8 @@
 """Sinks never block the loop and stop when asked; the journal holds whole lines within its limit."""
 
-import json
 import os
-import random
 import re
-import sys
 import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -14,15 +10,13 @@ from pathlib import Path
 import msgspec
 import pytest
 from rigs.made_events import PREDICTION, touch
-from rigs.programs import Program, ran
-from rigs.small_disk import log_on_small_disk, needs_small_disk
 from rigs.wait import WITHIN_S, wait_for
 
 from touchd.daemon.app.config import JournalSettings, Settings
 from touchd.daemon.path.events import Event, RobotAction, SensorEvent, encode
 from touchd.daemon.path.service import Service
 from touchd.daemon.robot.sink import RobotSink
-from touchd.daemon.sinks.journal import Journal, JournalError
+from touchd.daemon.sinks.journal import Journal
 from touchd.daemon.sinks.sink import EventFanout, LinesSink, QueuedSink
 from touchd.daemon.sinks.touches import decode
 from touchd.drivers.robot.link import RobotLink
@@ -52,10 +46,6 @@ def read(reader: int, count: int) -> list[Event]:
     """Return the next events in a pipe."""
     with open(reader, "rb", closefd=False) as file:
         return [decode(file.readline()) for _ in range(count)]
-
-
-def kept(path: Path) -> list[Event]:
-    return [decode(line) for line in path.read_bytes().splitlines()]
 
 
 def test_events_come_out_as_json_lines_in_order(pipe: tuple[int, int]) -> None:
@@ -183,133 +173,16 @@ def test_a_broken_pipe_is_reported_once_and_ends_the_sink(pipe: tuple[int, int])
     assert "touchd-stdout" not in names()
 
 
-def test_stopping_writes_what_is_queued_and_may_be_repeated(tmp_path: Path) -> None:
-    sink = Journal(tmp_path / "events.jsonl")
+def test_a_full_disk_at_standard_output_loses_lines_only(caplog: pytest.LogCaptureFixture) -> None:
+    gone: list[bool] = []
+    full = os.open("/dev/full", os.O_WRONLY)
+    sink = LinesSink("stdout", full, encode, lambda: gone.append(True))
     sink.start()
-    for number in range(200):
+    for number in range(20):
         sink.put(touch(number))
     sink.stop(WITHIN_S)
-    sink.stop(WITHIN_S)
-    assert kept(tmp_path / "events.jsonl") == [touch(number) for number in range(200)]
-    assert "touchd-journal" not in names()
-
-
-def numbered(count: int) -> list[bytes]:
-    return [b'{"type":"n","n": %d}' % number for number in range(count)]
-
-
-def write(path: Path, lines: list[bytes], **limits: int) -> None:
-    """Append lines to a journal; keeps one older file unless told otherwise."""
-    journal = Journal(path, **({"max_bytes": 100, "keep": 1} | limits))
-    for line in lines:
-        journal.append(line)
-    journal.close()
-
-
-def test_the_journal_rotates_within_its_limits(tmp_path: Path) -> None:
-    path = tmp_path / "events.jsonl"
-    write(path, numbered(200), max_bytes=1000, keep=2)
-    files = [*(tmp_path / f"events.jsonl.{number}" for number in (2, 1)), path]
-    assert sorted(tmp_path.iterdir()) == sorted(files)
-    assert all(file.stat().st_size <= 1000 for file in files)
-    lines = [line for file in files for line in file.read_bytes().splitlines()]
-    assert lines == numbered(200)[-len(lines) :] != []
-
-
-def test_a_journal_behind_a_link_rotates_where_it_lies(tmp_path: Path) -> None:
-    (disk := tmp_path / "disk").mkdir()
-    (link := tmp_path / "events.jsonl").symlink_to(disk / "touches.jsonl")
-    write(link, numbered(20))
-    assert link.is_symlink()
-    assert sorted(file.name for file in disk.iterdir()) == ["touches.jsonl", "touches.jsonl.1"]
-
-
-def test_half_a_line_left_by_a_power_cut_is_removed(tmp_path: Path) -> None:
-    path = tmp_path / "events.jsonl"
-    path.write_bytes(b'{"type":"n","n": 0}\n{"type":"n","n": ')
-    write(path, numbered(2)[1:])
-    assert path.read_bytes().splitlines() == numbered(2)
-
-
-def test_an_unusable_journal_is_reported_in_one_line(tmp_path: Path) -> None:
-    with pytest.raises(JournalError, match=r"cannot be written \(No such file or directory\)"):
-        Journal(tmp_path / "nowhere" / "events.jsonl", max_bytes=1000, keep=1)
-    loop = tmp_path / "loop.jsonl"
-    loop.symlink_to(loop)
-    with pytest.raises(JournalError, match=r"loop.jsonl: cannot be written \(Too many levels of symbolic"):
-        Journal(loop, max_bytes=1000, keep=1)
-
-
-FILL_THE_DISK = """
-import json, logging, resource, signal, sys
-from pathlib import Path
-from touchd.daemon.sinks.journal import Journal
-logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s")
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-path = Path(sys.argv[1]) / "events.jsonl"
-ballast = path.with_name("ballast")
-ballast.write_bytes(bytes(16_384))
-journal = Journal(path, max_bytes=10**9, keep=1)
-resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, resource.RLIM_INFINITY))
-number = 0
-while journal.lost < 500:
-    journal.append(b'{"type":"n","n": %d}' % number)
-    number += 1
-full = [json.loads(line)["n"] for line in path.read_bytes().splitlines()]
-ballast.unlink()
-resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
-journal.append(b'{"type":"n","n": -1}')
-after = [json.loads(line)["n"] for line in path.read_bytes().splitlines()]
-assert full == list(range(number - 500)), full[-5:]
-assert after == [*full, -1], after[-5:]
-"""
-
-
-def check_told(log: list[str]) -> None:
-    warning, recovery = log
-    assert warning.startswith("WARNING")
-    assert "No space left on device; events cannot be saved" in warning
-    assert recovery.startswith("INFO")
-    assert "works again; 500 events were lost" in recovery
-
-
-def test_a_full_disk_leaves_only_whole_lines(tmp_path: Path) -> None:
-    # A limit on file size simulates a full disk.
-    done = ran([sys.executable, "-c", FILL_THE_DISK, str(tmp_path)])
-    assert done.returncode == 0, done.stderr
-    check_told(done.stderr.splitlines())
-
-
-@needs_small_disk
-def test_a_journal_survives_a_really_full_disk(tmp_path: Path) -> None:
-    check_told(log_on_small_disk(tmp_path, 64, FILL_THE_DISK))
-
-
-KILL_MID_WRITE = """
-import random, sys
-from pathlib import Path
-from touchd.daemon.sinks.journal import Journal
-journal = Journal(Path(sys.argv[1]), max_bytes=100_000, keep=3)
-print("writing", flush=True)
-while True:
-    journal.append(b'{"type":"n","n": "' + b"x" * random.randrange(1, 1000) + b'"}')
-"""
-
-
-@pytest.mark.parametrize("times", [1, pytest.param(50, marks=pytest.mark.slow)])
-def test_a_kill_at_any_point_leaves_a_whole_journal(tmp_path: Path, times: int) -> None:
-    path, chance = tmp_path / "events.jsonl", random.Random(1)
-    for attempt in range(times):
-        with Program(sys.executable, "-c", KILL_MID_WRITE, path) as process:
-            process.stdout.readline()
-            while attempt == 0 and not path.with_name("events.jsonl.1").exists():
-                assert process.poll() is None
-            time.sleep(chance.uniform(0.0, 0.1))
-            process.kill()
-        # Opening the journal cuts off a half-written line.
-        Journal(path, max_bytes=100_000, keep=3).close()
-        for file in tmp_path.iterdir():
-            written = file.read_bytes()
-            assert written.endswith(b"\n") or not written
-            assert all(json.loads(line)["n"] for line in written.splitlines())
-    assert sum(file.stat().st_size for file in tmp_path.iterdir()) <= 4 * 100_000
+    os.close(full)
+    assert (sink.dropped, gone) == (20, [])
+    said = [record.getMessage() for record in caplog.records]
+    assert said[0].endswith("or its disk is full")
+    assert said[1:] == ["stdout: 20 events or frames were lost in all"]

@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 import pytest
 from rigs.ended_touch import ended_touch, read_frames
-from rigs.made_pad import MadePad, Scans, nothing, palm, pat
+from rigs.made_pad import MadePad, nothing, pat
 from rigs.scripted_model import Scripted
 from rigs.small_disk import log_on_small_disk, needs_small_disk
 from rigs.wait import WITHIN_S
@@ -24,7 +24,6 @@ from touchd.daemon.path.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.daemon.sinks.touch_store import (
     LONGEST_FRAMES,
     EndedTouch,
-    KeptTouch,
     TouchSink,
     TouchStore,
     file_name,
@@ -36,45 +35,6 @@ from touchd.daemon.sinks.touch_store import (
 from touchd.drivers.frame import DEFAULT_PAD, NO_TOUCH, Frame
 from touchd.drivers.recording import UNLABELLED, RecordingError, read_provenance, read_recordings
 from touchd.drivers.whole_file import PARTIAL
-
-PERIOD_MS = 1000 / 54
-
-
-class StoreBench:
-    """A pipeline fed by a made pad at 54 Hz, with a touch sink as in the daemon."""
-
-    def __init__(self, store: TouchStore, clock_ms: float = 0.0) -> None:
-        self.store, self.clock_ms, self.now_s = store, clock_ms, 1795168800.0
-        self.sink = TouchSink({"pad": store})
-        self.sink.start()
-        self.pad, self.sent = MadePad(), list[Frame]()
-        self.began, self.ended = list[TouchBegan](), list[TouchEnded]()
-        clock = Clock(monotonic_s=lambda: 100.0, epoch_s=lambda: self.now_s)
-        self.pipeline = Pipeline(PipelineSettings(), Scripted(), self._emit, clock)
-        self.feel(nothing(1.5))
-
-    def feel(self, *pressures: Scans) -> None:
-        for counts in self.pad.counts(np.concatenate(pressures)):
-            frame = Frame(round(self.clock_ms) % 2**32, 100.0, counts)
-            self.sent.append(frame)
-            self.clock_ms += PERIOD_MS
-            self.now_s += PERIOD_MS / 1000
-            self.sink.put_frame(frame)
-            self.pipeline.on_frame(frame)
-
-    def end(self) -> list[KeptTouch]:
-        """Stop; return the kept touches."""
-        self.pipeline.flush()
-        self.sink.stop(WITHIN_S)
-        return kept_touches(self.store._folder)
-
-    def _emit(self, event: Event) -> None:
-        self.sink.put(event)
-        match event:
-            case TouchBegan():
-                self.began.append(event)
-            case TouchEnded():
-                self.ended.append(event)
 
 
 @pytest.fixture
@@ -90,14 +50,33 @@ def sinking(store: TouchStore) -> Iterator[TouchSink]:
     sink.stop(WITHIN_S)
 
 
-@pytest.fixture
-def bench(store: TouchStore) -> StoreBench:
-    return StoreBench(store)
+def put(sink: TouchSink, touch: EndedTouch) -> None:
+    """Put a touch's frames, then its events."""
+    for frame in touch.frames:
+        sink.put_frame(frame)
+    sink.put(touch.began)
+    sink.put(touch.ended)
 
 
-def test_a_kept_touch_is_what_the_pad_sent(bench: StoreBench) -> None:
-    bench.feel(pat(2.0), nothing(2.0))
-    (kept,), (start,), (end,) = bench.end(), bench.began, bench.ended
+def test_a_kept_touch_is_what_the_pad_sent(store: TouchStore, tmp_path: Path) -> None:
+    events, now_s = list[Event](), 1795168800.0
+    counts = MadePad().counts(np.concatenate([nothing(1.5), pat(2.0), nothing(2.0)]))
+    sent = [Frame(round(1000 * number / 54), 100.0, frame) for number, frame in enumerate(counts)]
+    with sinking(store) as sink:
+
+        def emit(event: Event) -> None:
+            events.append(event)
+            sink.put(event)
+
+        clock = Clock(monotonic_s=lambda: 100.0, epoch_s=lambda: now_s)
+        pipeline = Pipeline(PipelineSettings(), Scripted(), emit, clock)
+        for frame in sent:
+            now_s += 1 / 54
+            sink.put_frame(frame)
+            pipeline.on_frame(frame)
+    (start,) = (event for event in events if isinstance(event, TouchBegan))
+    (end,) = (event for event in events if isinstance(event, TouchEnded))
+    (kept,) = kept_touches(tmp_path / "touches")
     assert (kept.time, kept.number) == (start.time, start.touch)
     assert start.sensor_ms == 1500
     assert end.sensor_ms is not None
@@ -108,7 +87,7 @@ def test_a_kept_touch_is_what_the_pad_sent(bench: StoreBench) -> None:
         (frames.touch, start.sensor_ms, end.sensor_ms),
         (frames.after, end.sensor_ms + 1, end.sensor_ms + 797),
     ):
-        expected = [frame for frame in bench.sent if first_ms <= frame.sensor_ms <= last_ms]
+        expected = [frame for frame in sent if first_ms <= frame.sensor_ms <= last_ms]
         assert recording is not None
         assert recording.sensor_ms.tolist() == [frame.sensor_ms for frame in expected]
         np.testing.assert_array_equal(recording.counts, np.stack([frame.pressure for frame in expected]))
@@ -119,52 +98,42 @@ def test_a_kept_touch_is_what_the_pad_sent(bench: StoreBench) -> None:
     assert told["taken for"] == "stroke (released)"
 
 
-def test_frames_before_a_restart_are_not_kept(store: TouchStore) -> None:
-    bench = StoreBench(store, clock_ms=500_000)
-    bench.feel(palm(1.2), nothing(1.5))
-    bench.clock_ms = 0
-    bench.feel(nothing(0.7), palm(1.2), nothing(1.5))
-    _, frames = map(read_frames, bench.end())
-    assert frames.before.sensor_ms[0] == 0
-    assert frames.touch.sensor_ms[0] == bench.began[1].sensor_ms
-
-
-def test_a_touch_that_never_ends_takes_a_minute_at_most(bench: StoreBench) -> None:
-    bench.feel(palm(70.0), nothing(1.0))
-    (kept,) = bench.end()
-    parts = read_recordings(kept.path)
-    assert sum(len(part.counts) for part in parts) <= LONGEST_FRAMES
-    assert parts[-1].gesture == UNLABELLED
-
-
-def test_a_fast_pads_touch_is_kept_from_its_beginning(store: TouchStore, tmp_path: Path) -> None:
-    touch = ended_touch(1)
+@pytest.mark.parametrize(
+    ("period_ms", "began_at_ms", "touch_ms", "kept_ms"),
+    [
+        (2, 4000, (3200, 5900), (2200, 3200, 5900)),
+        (18, 4000, (3200, 90_000), (2200, 3200, 1000 + 18 * LONGEST_FRAMES)),
+    ],
+    ids=["a fast pad, from its beginning", "one that never ends, for a minute"],
+)
+def test_a_touch_is_kept_in_bounds(
+    store: TouchStore,
+    tmp_path: Path,
+    period_ms: int,
+    began_at_ms: int,
+    touch_ms: tuple[int, int],
+    kept_ms: tuple[int, int, int],
+) -> None:
+    touch, counts = ended_touch(1), np.zeros((8, 8), np.uint16)
     with sinking(store) as sink:
-        for ms in range(0, 7000, 2):
-            sink.put_frame(Frame(ms, 0.0, np.zeros((8, 8), np.uint16)))
-            if ms == 4000:
-                sink.put(msgspec.structs.replace(touch.began, sensor_ms=3200))
-        sink.put(msgspec.structs.replace(touch.ended, sensor_ms=5900))
+        for ms in range(0, touch_ms[1] + 1000, period_ms):
+            sink.put_frame(Frame(ms, 0.0, counts))
+            if ms - period_ms < began_at_ms <= ms:
+                sink.put(msgspec.structs.replace(touch.began, sensor_ms=touch_ms[0]))
+        sink.put(msgspec.structs.replace(touch.ended, sensor_ms=touch_ms[1]))
     (kept,) = kept_touches(tmp_path / "touches")
     frames = read_frames(kept)
-    assert frames.before.sensor_ms[[0, -1]].tolist() == [2200, 3198]
-    assert frames.touch.sensor_ms[[0, -1]].tolist() == [3200, 5900]
-
-
-def test_a_touch_stays_whole_when_the_pads_state_changes(bench: StoreBench) -> None:
-    bench.feel(palm(0.5))
-    bench.sink.put(SensorEvent(state="degraded", time=timestamp(bench.now_s)))
-    bench.feel(palm(0.5), nothing(1.5))
-    (kept,), (end,) = bench.end(), bench.ended
-    assert len(read_frames(kept).touch.counts) == end.frames
+    assert frames.before is not None
+    times_ms = [frames.before.sensor_ms[0], *frames.touch.sensor_ms[[0, -1]]]
+    assert times_ms == pytest.approx(kept_ms, abs=period_ms)
 
 
 def test_only_the_last_touches_are_kept(tmp_path: Path) -> None:
     store = TouchStore(tmp_path, 5, "")
-    for number in range(105):
+    for number in range(12):
         store.add(ended_touch(number, rest_frames=0))
         assert len(os.listdir(tmp_path)) <= 5
-    assert [kept.number for kept in kept_touches(tmp_path)] == [100, 101, 102, 103, 104]
+    assert [kept.number for kept in kept_touches(tmp_path)] == [7, 8, 9, 10, 11]
 
 
 def said(number: int, gesture: str, pad: str = DEFAULT_PAD) -> Label:
@@ -224,17 +193,18 @@ def test_an_unusable_folder_is_reported_with_its_setting(tmp_path: Path) -> None
     assert not Path("/nowhere").exists()
 
 
-def test_a_hanging_disk_never_blocks_the_loop(store: TouchStore, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_hanging_disk_never_blocks_the_loop(
+    store: TouchStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     goes_on, add = threading.Event(), store.add
     monkeypatch.setattr(store, "add", lambda touch: (goes_on.wait(WITHIN_S), add(touch)))
-    bench = StoreBench(store)
-    for _ in range(TouchSink.capacity + 4):
-        bench.feel(palm(0.3), nothing(1.1))
-    assert len(bench.ended) == TouchSink.capacity + 4
-    assert 3 <= bench.sink.dropped <= 4
-    goes_on.set()
-    assert len(bench.end()) == TouchSink.capacity + 4 - bench.sink.dropped
-    assert "touchd-touches" not in {thread.name for thread in threading.enumerate()}
+    many = TouchSink.capacity + 4
+    with sinking(store) as sink:
+        for number in range(many):
+            put(sink, ended_touch(number))
+        assert 3 <= sink.dropped <= 4
+        goes_on.set()
+    assert len(kept_touches(tmp_path / "touches")) == many - sink.dropped
 
 
 FILL_A_SMALL_DISK = """
@@ -382,6 +352,7 @@ def test_other_pads_and_forgotten_frames_are_not_kept(store: TouchStore, tmp_pat
             change(touch.ended, pad="other"),
             said(1, "pat", "other"),
             touch.began,
+            SensorEvent(state="degraded", time=""),
             SensorEvent(state="down", time="", pad="other"),
             touch.ended,
             change(touch.began, touch=2),
@@ -390,3 +361,23 @@ def test_other_pads_and_forgotten_frames_are_not_kept(store: TouchStore, tmp_pat
         ):
             sink.put(event)
     assert [kept.number for kept in kept_touches(tmp_path / "touches")] == [1]
+
+
+@pytest.mark.parametrize("name", ["2026-11-20T10-00-00.000Z-1-1.csv.gz", f"{PARTIAL}x"])
+def test_a_folder_named_like_a_touch_does_not_stop_deletion(tmp_path: Path, name: str) -> None:
+    (tmp_path / "touches" / name).mkdir(parents=True)
+    store = TouchStore(tmp_path / "touches", 3, "a made pad")
+    for number in range(8):
+        store.add(ended_touch(number))
+    kept = kept_touches(tmp_path / "touches")
+    assert [touch.number for touch in kept] == [5, 6, 7]
+    assert (tmp_path / "touches" / name).is_dir()
+
+
+def test_a_clock_that_was_ahead_does_not_delete_new_touches(tmp_path: Path) -> None:
+    store = TouchStore(tmp_path, 3, "")
+    for number in (1, 2, 3):
+        store.add(ended_touch(number, after_s=1e8))
+    for number in (4, 5):
+        TouchStore(tmp_path, 3, "").add(ended_touch(number))
+    assert [kept.number for kept in kept_touches(tmp_path)] == [3, 4, 5]
