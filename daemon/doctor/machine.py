@@ -17,7 +17,7 @@ from touchd.drivers import hosts
 from touchd.drivers.errors import PathError
 from touchd.drivers.frame import COLUMNS, ROWS
 from touchd.drivers.installed import program_name
-from touchd.drivers.robot.link import client_of
+from touchd.drivers.robot.link import ADVICE, client_of
 from touchd.drivers.robot.session import PORTS as ROBOT_PORTS
 from touchd.drivers.robot.session import (
     RobotError,
@@ -25,8 +25,6 @@ from touchd.drivers.robot.session import (
     RobotLost,
     RobotRefused,
     RobotSettings,
-    address_of,
-    without_password,
 )
 from touchd.drivers.robot.wire import encrypted
 from touchd.model.classifier import ModelError
@@ -73,11 +71,9 @@ def robot_urls(typed: str) -> Sequence[str]:
     urls += [f"{each}://{host}:{usual}" for each, usual in ROBOT_PORTS.items()]
     try:
         for url in urls:
-            address_of(url)
+            RobotSettings(url=url)
     except ValueError as error:
-        raise RobotError(
-            f"{without_password(typed)!r} is not a robot's name or address, such as nao.local"
-        ) from error
+        raise RobotError(str(error)) from error
     return list(dict.fromkeys(urls))
 
 
@@ -99,7 +95,7 @@ def certificate_at(url: str) -> str | None:
 
     Before its login a robot reveals nothing else.
     """
-    _, host, port = address_of(url)
+    _, host, port = RobotSettings(url=url).address
 
     def give_up() -> None:
         raise TimeoutError
@@ -124,13 +120,11 @@ def check_robot(settings: Settings) -> Check:
         wire = f"{program_name()} docs install says how to wire a robot"
         return Check("robot", "to do", str(error), pin or wire)
     except (RobotLost, RobotRefused) as error:
-        if shown and not wanted.user:
+        if shown and not wanted.token_file:
             login = f"set robot.user and robot.token_file ({program_name()} docs install)"
             found = f"{wanted.url} answers, and asks for a login"
             return Check("robot", "to do", found, f"{login}{pin and f'; {pin}'}")
-        reach = "is it switched on, and can this machine reach it? ping it; check robot.url"
-        advice = reach if isinstance(error, RobotLost) else "is that a robot with NAOqi? check robot.url"
-        return Check("robot", "to do", f"{wanted.url}: {error}", advice)
+        return Check("robot", "to do", f"{wanted.url}: {error}", f"ping it; {ADVICE}")
     found = f"NAOqi {version} at {wanted.url}, reached in {1000 * took_s:.0f} ms"
     return Check("robot", "ok", found, pin)
 

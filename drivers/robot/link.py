@@ -1,12 +1,6 @@
-"""The link to a Nao: raises answers as events in its memory, and has it act.
+"""The link to a Nao: raises answers as events in its memory and has it act. The daemon never waits for it."""
 
-The daemon never waits for the robot, whether it is away, hangs or refuses.
-"""
-
-import itertools
-import logging
 import math
-import re
 import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
@@ -16,21 +10,13 @@ from typing import NamedTuple
 
 from touchd.drivers.frame import DEFAULT_PAD
 from touchd.drivers.robot.qi_session import QiSession, load_qi
-from touchd.drivers.robot.session import (
-    OpenSession,
-    RobotLimits,
-    RobotLost,
-    RobotRefused,
-    RobotSession,
-    RobotSettings,
-)
+from touchd.drivers.robot.session import OpenSession, RobotLimits, RobotRefused, RobotSession, RobotSettings
 from touchd.drivers.robot.wire import WireSession
 from touchd.drivers.robot.worker import LinkState, Worker
 
-log = logging.getLogger(__name__)
-
 # How long PREFIX/Gesture stays in the robot's memory, as its own ALTactileGesture does.
 SHOWN_S = 1.0
+ADVICE = "is it switched on? If it is, check url, user and token, and whether it wants tcp:// or tcps://"
 LIMITS = RobotLimits()
 
 
@@ -45,24 +31,19 @@ class Act(NamedTuple):
 
 @dataclass
 class _Pad:
-    """What the robot's memory has of a pad. prefix: of its events. status: to be there; sent: last written.
-
-    foreign: what another program last wrote as its status.
-    """
+    """What the robot's memory has of a pad. prefix: of its events. status: to be there; sent: what is."""
 
     prefix: str
     status: str = "up"
     sent: str = ""
-    foreign: object = "down"
     remove_at_s: float = math.inf
 
 
 class RobotLink(Worker):
-    """Sends answers to a robot and has it act.
+    """Sends answers to a robot and has it act; raises RobotError with one line if the settings are wrong.
 
     Raises PREFIX/Detail, then PREFIX/Gesture for each answer that is put, so that a program that wakes on the
     Gesture finds its Detail; and PREFIX/Status when it changes. For a pad with a name PREFIX/NAME/Gesture, …
-    settings: checked here; raises RobotError with one line when the user must change something.
     on_state: called from the link's thread when the robot comes ("up", "") or goes ("down", why).
     open_session: how to reach the robot, instead of the configured client.
     pads: the names of those whose answers are sent. acts: whether `act` will be called.
@@ -84,7 +65,6 @@ class RobotLink(Worker):
         self._state: LinkState | None = None
         prefix = settings.prefix
         self._pads = {pad: _Pad(prefix if pad == DEFAULT_PAD else f"{prefix}/{pad}") for pad in pads}
-        self._asked = itertools.cycle(self._pads.values())
         # A session of its own: speech takes seconds and must not delay an event.
         self._acts = Worker("touchd-robot-actions", opened, limits)
         self._workers = [self, self._acts] if acts else [self]
@@ -95,10 +75,7 @@ class RobotLink(Worker):
             Worker.start(worker)
 
     def put(self, name: str, detail: Sequence[object]) -> None:
-        """Raise an answer on a pad, its gesture first. Never waits; call it from one thread.
-
-        detail: builtin types, integers of four bytes at most.
-        """
+        """Raise an answer on a pad, of builtin types. Never waits; call it from one thread."""
         self.do(partial(self._raise_answer, self._pads[name], detail))
 
     def act(self, acts: Sequence[Act]) -> None:
@@ -116,73 +93,63 @@ class RobotLink(Worker):
         for worker in self._workers:
             worker.ask_to_stop()
         for worker in self._workers:
-            if not worker.join(max(0.0, deadline_s - time.monotonic())):
-                log.warning("the link to the robot did not end within %g s", timeout_s)
+            worker.join(max(0.0, deadline_s - time.monotonic()))
 
     def note_state(self, state: LinkState, reason: str) -> None:
-        """Log that the robot is there, or that an attempt to reach it failed; report a change."""
+        """Log that an attempt to reach the robot failed, or that it is there again; report a change."""
         if self._stopping.is_set():
             return
         if state == "down":
-            what = f"robot {self._url} is down ({reason}); trying until it is there"
-            # Durations in a reason differ from one attempt to the next.
-            self._faults.begin("down", what, cause=re.sub(r"[\d.]+", "", reason))
-        elif self._state is None:
-            log.info("robot %s is up", self._url)
+            what = f"robot {self._url} is down ({reason}); trying until it is there; {ADVICE}"
+            self._faults.begin("down", what, cause=reason)
         else:
-            self._faults.end("down", f"robot {self._url} is up again")
+            self._faults.end("down", f"robot {self._url} is up")
         if state != self._state:
             self._state = state
             self._on_state(state, reason)
 
     def begin(self, session: RobotSession) -> None:
+        """Send every status."""
         for pad in self._pads.values():
-            self._send_status(session, pad, pad.status)
+            pad.sent = ""
+        while self.tend(session):
+            pass
 
     def tend(self, session: RobotSession) -> bool:
-        """Remove a gesture when its time is over, send a status that has changed."""
+        """Remove a gesture when its time is over, or send a status that has changed."""
         for pad in self._pads.values():
             if time.monotonic() >= pad.remove_at_s:
-                self._remove_gesture(session, pad)
+                pad.remove_at_s = math.inf
+                # Another program may have removed it, and a robot that has restarted has forgotten it.
+                with suppress(RobotRefused):
+                    self._memory(session, "removeData", f"{pad.prefix}/Gesture")
                 return True
-            if pad.status != pad.sent:
-                self._send_status(session, pad, pad.status)
+            if (status := pad.status) != pad.sent:
+                self._memory(session, "raiseEvent", f"{pad.prefix}/Status", status)
+                pad.sent = status
                 return True
         return False
 
     def ask(self, session: RobotSession) -> None:
-        """Check whether a pad's status is as it was written; another touchd's "down" is replaced."""
-        pad = next(self._asked)
-        found = self._memory(session, "getData", f"{pad.prefix}/Status")
-        if found != pad.sent:
-            pad.foreign = found
-            what = f"another touchd writes {pad.prefix}/Status; give one of them robot.prefix"
-            self._faults.begin("shared", what)
-            if found == "down":
-                self._send_status(session, pad, pad.sent)
+        """Look for a status that another touchd has set to down, which is then sent again."""
+        for pad in self._pads.values():
+            found = self._memory(session, "getData", f"{pad.prefix}/Status")
+            if found == "down" != pad.sent:
+                pad.sent = "down"
+                what = f"another touchd writes {pad.prefix}/Status; give one of them robot.prefix"
+                self._faults.begin("shared", what)
 
     def end(self, session: RobotSession) -> None:
-        """Remove gestures, and set the status of every pad to down, unless another touchd has it up."""
+        """Remove every gesture, and set every status to down."""
         for pad in self._pads.values():
-            if pad.remove_at_s < math.inf:
-                self._remove_gesture(session, pad)
-            if pad.foreign == "down":
-                self._send_status(session, pad, "down")
+            pad.status, pad.remove_at_s = "down", 0.0
+        while self.tend(session):
+            pass
 
     def _raise_answer(self, pad: _Pad, detail: Sequence[object], session: RobotSession) -> None:
         self._memory(session, "raiseEvent", f"{pad.prefix}/Detail", detail)
         self._memory(session, "raiseEvent", f"{pad.prefix}/Gesture", detail[0])
         pad.remove_at_s = time.monotonic() + SHOWN_S
-
-    def _send_status(self, session: RobotSession, pad: _Pad, status: str) -> None:
-        self._memory(session, "raiseEvent", f"{pad.prefix}/Status", status)
-        pad.sent = status
-
-    def _remove_gesture(self, session: RobotSession, pad: _Pad) -> None:
-        # Another program may have removed it, and a robot that has restarted has forgotten it.
-        with suppress(RobotRefused):
-            self._memory(session, "removeData", f"{pad.prefix}/Gesture")
-        pad.remove_at_s = math.inf
 
     def _memory(self, session: RobotSession, method: str, *arguments: object) -> object:
         return session.call("ALMemory", method, *arguments, limit_s=self._limits.call_s)
@@ -197,17 +164,13 @@ def _carry_out(acts: Sequence[Act], limit_s: float, session: RobotSession) -> No
             session.call(act.service, act.method, *act.arguments, limit_s=limit_s)
         except RobotRefused as error:
             refused.append(str(error))
-        except RobotLost as lost:
-            log.warning("an action is given up, with those after it: %s", lost)
-            raise
     if refused:
         raise RobotRefused("; ".join(refused))
 
 
 def client_of(settings: RobotSettings) -> OpenSession:
     """Return what reaches the robot, with its login checked; raises RobotError."""
-    if settings.user is not None:
-        settings.read_token()
+    settings.login()
     if settings.client == "touchd":
         return WireSession
     load_qi()

@@ -3,21 +3,23 @@
 import re
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Literal, Protocol, TypeAlias
 
 import msgspec
 
-from touchd.drivers.errors import TouchdError
+from touchd.drivers.errors import MAX_LINE_BYTES, TouchdError, reason
 from touchd.drivers.whole_file import secret_in
 
 # On which NAOqi listens: up to 2.8, and 2.9.
 PORTS = {"tcp": 9559, "tcps": 9503}
+# Called while something waits; raises TimeoutError once that has taken too long.
+GoOn: TypeAlias = Callable[[], None]
 ADDRESS = re.compile(r"(?:(tcps?)://)?(\[[^\s\[\]]+\]|[^\s/@:\[\]]+)(?::(\d{0,5}))?", re.IGNORECASE)
 # Limit for a call once the daemon stops; three of them fit into the two seconds it has for that.
 STOPPING_LIMIT_S = 0.25
-ADVICE = "if a robot is there, check user and token, and whether it wants tcp:// or tcps://"
 
 
 class RobotError(TouchdError):
@@ -34,7 +36,7 @@ class RobotRefused(Exception):  # noqa: N818 - as above
 
 @dataclass(frozen=True, kw_only=True)
 class RobotLimits:
-    """Every wait and every buffer of the link to the robot, in seconds unless named otherwise.
+    """Every limit of the link to the robot, in seconds unless named otherwise.
 
     connect_s: for a connection, or for finding a service. call_s: for any call on the event path.
     action_s: for one action, which answers only when it is over; a dance takes minutes.
@@ -51,38 +53,30 @@ class RobotLimits:
     capacity: int = 64
 
 
-class Wait:
-    """A wait with a limit, which is shorter once the daemon stops. what: what is waited for, in errors."""
+@contextmanager
+def waiting(what: str, limit_s: float, stopping: threading.Event) -> Iterator[GoOn]:
+    """Wait for the robot, with a limit that is shorter once the daemon stops.
 
-    def __init__(self, what: str, limit_s: float, stopping: threading.Event) -> None:
-        self.what = what
-        self._limit_s = limit_s
-        self._stopping = stopping
-        self._begun_s = time.monotonic()
+    An error within becomes RobotLost or stays RobotRefused, and says what was waited for.
+    """
+    begun_s = time.monotonic()
 
-    def go_on(self) -> None:
-        """Raise RobotLost when it is over."""
-        waited_s = time.monotonic() - self._begun_s
-        if waited_s >= self._limit_s or (self._stopping.is_set() and waited_s >= STOPPING_LIMIT_S):
-            raise RobotLost(f"{self.what}: no answer within {waited_s:.1f} s")
+    def go_on() -> None:
+        waited_s = time.monotonic() - begun_s
+        if waited_s >= limit_s or (stopping.is_set() and waited_s >= STOPPING_LIMIT_S):
+            raise TimeoutError(f"no answer within {limit_s:g} s")
 
-
-def address_of(url: str) -> tuple[str, str, int]:
-    """Return a robot's scheme (tcp if none is named), host and port; a ValueError shows no password."""
-    parts = ADDRESS.fullmatch(url.strip())
-    if parts is None or int(parts[3] or 1) not in range(1, 65536):
-        raise ValueError(f"url {without_password(url)!r} is not an address such as tcp://nao.local:9559")
-    scheme = (parts[1] or "tcp").lower()
-    return scheme, parts[2].strip("[]"), int(parts[3] or PORTS[scheme])
-
-
-def without_password(address: str) -> str:
-    """Return an address that may be shown: what is before an @ may be a password."""
-    return re.sub(r"//.*@", "//***@", address)
+    try:
+        yield go_on
+    except RobotRefused as error:
+        # A robot's words may be many, and on several lines.
+        raise RobotRefused(f"{what}: {' '.join(str(error)[:MAX_LINE_BYTES].split())}") from error
+    except (OSError, OverflowError, TouchdError) as error:
+        raise RobotLost(f"{what}: {reason(error)}") from error
 
 
 class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where the robot is and how to log in. The token itself is never among the settings.
+    """Where the robot is and how to log in, if token_file is given. The token itself is never a setting.
 
     certificate: the fingerprint of the robot's, sha256:HEX, or "any"; a token needs it. client: "qi" uses the
     robot's own library instead of `wire`.
@@ -90,49 +84,58 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
     url: str
     prefix: str = "TouchGesture"
-    user: str | None = None
+    user: str = "nao"
     token_file: str | None = None
     certificate: str | None = None
     client: Literal["touchd", "qi"] = "touchd"
 
     def __post_init__(self) -> None:
-        if not re.fullmatch(r"\w+", self.prefix) or self.prefix.startswith("AL"):
-            raise ValueError(f"prefix {self.prefix!r} must be one word and not begin with AL, as the robot's")
-        if (self.user is None) != (self.token_file is None):
-            raise ValueError("a login is user and token_file; set both (user: nao on most robots)")
         if self.token_file is not None and "/" not in self.token_file:
             raise ValueError("token_file is not a full path; write the token into a file and give its path")
-        scheme, _, _ = self.address
-        if scheme != "tcps" and (self.user or self.certificate):
+        if self.address[0] != "tcps" and (self.token_file or self.certificate):
             raise ValueError(f"url {self.url}: what is sent there is not encrypted; use tcps://")
         if self.client == "qi" and self.pinned:
             raise ValueError("qi accepts any certificate; leave client out, or certificate")
 
     @property
     def pinned(self) -> str | None:
-        """The fingerprint that the robot must show, None for any."""
-        return None if self.certificate == "any" else self.certificate
+        """The fingerprint that the robot must show, sha256HEX, None for any."""
+        # openssl writes capitals, and colons between the bytes.
+        return None if self.certificate in (None, "any") else self.certificate.replace(":", "").lower()
 
     @property
     def address(self) -> tuple[str, str, int]:
-        return address_of(self.url)
-
-    def read_token(self) -> str:
-        """Return the token; raises RobotError if it cannot be read, or if anybody might get it."""
-        token = secret_in(str(self.token_file), "robot.token_file", RobotError)
-        if not self.certificate:
-            raise RobotError(
-                f"robot {self.url}: whoever answers there would get the token; set robot.certificate to the "
-                "robot's, which touchd doctor shows, or to any if nobody else can answer"
+        """The robot's scheme, tcp if the URL names none, host and port."""
+        parts = ADDRESS.fullmatch(self.url.strip())
+        if parts is None or int(parts[3] or 1) not in range(1, 65536):
+            # What is before an @ may be a password.
+            shown = re.sub(r"//.*@", "//***@", self.url)
+            raise ValueError(
+                f"{shown!r} is not a robot's name or address, such as nao.local or tcp://nao:9559"
             )
-        return token
+        scheme = (parts[1] or "tcp").lower()
+        return scheme, parts[2].strip("[]"), int(parts[3] or PORTS[scheme])
+
+    def login(self) -> dict[str, str]:
+        """Return user and token, {} without a token_file.
+
+        Raises RobotError if the token cannot be read, or if anybody might get it.
+        """
+        if self.token_file is None:
+            return {}
+        token = secret_in(self.token_file, "robot.token_file", RobotError)
+        if not self.certificate:
+            advice = "to the robot's, which touchd doctor shows, or to any if nobody else can answer"
+            why = f"robot {self.url}: whoever answers there would get the token"
+            raise RobotError(f"{why}; set robot.certificate {advice}")
+        return {"user": self.user, "token": token}
 
 
 class RobotSession(Protocol):
     """One connection to a robot. One thread uses it; after RobotLost it is only closed."""
 
     def connect(self) -> None:
-        """Connect and log in; raises RobotLost."""
+        """Connect and log in; raises RobotLost or RobotRefused."""
 
     def connected(self) -> bool:
         """Return False as soon as the connection is known to be gone; a hung robot still reads True."""

@@ -1,5 +1,6 @@
 """QiMessaging's values: bytes by a signature, such as `(sm)` for a text and a value of any kind."""
 
+import itertools
 import struct
 from collections.abc import Mapping
 from functools import lru_cache
@@ -9,56 +10,45 @@ NUMBERS = {kind: struct.Struct(f"<{code}") for kind, code in zip("bcCwWiIlLfd", 
 # What a value of any kind is sent as.
 SIGNATURES = {bool: "b", int: "i", float: "d", str: "s", list: "[m]", tuple: "[m]"}
 # Of one message: a few bytes may claim any number of values.
-MOST_VALUES, LONGEST_SIGNATURE = 10_000, 1000
+MOST_VALUES, LONGEST_SIGNATURE = 20_000, 1000
 
 
 def read(signature: str, data: bytes | bytearray) -> Any:
     """Return the value at the beginning of the data, maps as dicts; raises ValueError."""
-    try:
-        return _Reader(data).value(signature)
-    except (TypeError, RecursionError) as error:
-        raise ValueError(str(error)) from error
+    rest, values = memoryview(data), itertools.count(1)
 
+    def take(size: int) -> memoryview:
+        nonlocal rest
+        if size > len(rest):
+            raise ValueError(f"{size} bytes are missing")
+        taken, rest = rest[:size], rest[size:]
+        return taken
 
-class _Reader:
-    def __init__(self, data: bytes | bytearray) -> None:
-        self._data = memoryview(data)
-        self._left = MOST_VALUES
-
-    def value(self, signature: str) -> Any:
-        self._left -= 1
-        if self._left < 0:
+    def value(signature: str) -> Any:
+        if next(values) > MOST_VALUES:
             raise ValueError("too many values")
         kind = signature[:1]
         if kind in NUMBERS:
-            return self._number(kind)
+            return NUMBERS[kind].unpack(take(NUMBERS[kind].size))[0]
         if kind == "s":
-            return self._text()
+            return str(take(value("I")), errors="replace")
         if kind == "m":
-            return self.value(self._text())
+            return value(value("s"))
         if kind == "[":
             (element,) = inside(signature)
-            return [self.value(element) for _ in range(self._number("I"))]
+            return [value(element) for _ in range(value("I"))]
         if kind == "{":
-            return dict(self.value(f"[({signature[1:-1]})]"))
+            return dict(value(f"[({signature[1:-1]})]"))
         if kind == "(":
-            return tuple(self.value(member) for member in inside(signature))
+            return tuple(value(member) for member in inside(signature))
         if kind == "v":
             return None
         raise ValueError(f"unknown signature {kind!r}")
 
-    def _number(self, kind: str) -> Any:
-        (number,) = NUMBERS[kind].unpack(self._take(NUMBERS[kind].size))
-        return number
-
-    def _text(self) -> str:
-        return str(self._take(self._number("I")), errors="replace")
-
-    def _take(self, size: int) -> memoryview:
-        if size > len(self._data):
-            raise ValueError(f"{size} bytes are missing")
-        taken, self._data = self._data[:size], self._data[size:]
-        return taken
+    try:
+        return value(signature)
+    except (TypeError, RecursionError) as error:
+        raise ValueError(str(error)) from error
 
 
 def write(signature: str, value: Any) -> bytes:

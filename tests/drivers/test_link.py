@@ -49,7 +49,7 @@ def test_each_pad_has_events_of_its_own() -> None:
         ("TouchGesture/head/Status", "down"),
         ("TouchGesture/wrist/Status", "down"),
     ]
-    removed = [call.arguments for call in calls.all() if call.method == "removeData"]
+    removed = [call.arguments for call in calls.all() if call.method == "removeData" and not call.refused]
     assert removed == [("TouchGesture/wrist/Gesture",)]
 
 
@@ -82,6 +82,7 @@ def test_the_last_gesture_is_shown_for_a_second(is_removed_by_another: bool) -> 
         # Removing it is tried once, and later answers arrive.
         link.put(*message("rub", pad="head"))
         calls.wait_for_raise("TouchGesture/head/Gesture", "rub", timeout_s=10)
+    # The last is when the link ends.
     assert [call.method for call in calls.all()].count("removeData") == 2
 
 
@@ -97,20 +98,17 @@ def test_the_status_is_sent_once_for_each_change() -> None:
 
 def test_two_links_with_one_prefix_say_so_and_keep_the_status_up(caplog: pytest.LogCaptureFixture) -> None:
     calls, other = CallLog(), States()
-    with StubRobot(calls.add) as robot, linked(robot) as (link, states):
+    with StubRobot(calls.add) as robot, linked(robot) as (_, states):
         states.wait_for("up")
         second = RobotLink(RobotSettings(url=URL), other, robot.open_session)
         second.set_status("down")
         second.start()
-        # The first replaces the "down", which the second notices as well.
-        shared = f"another touchd writes {STATUS}; give one of them robot.prefix"
-        wait_for(lambda: caplog.messages.count(shared) == 2)
-        second.set_status("up")
-        wait_for(lambda: calls.raised(STATUS) == ["up", "down", "up", "up"])
-        second.stop()
-        link.set_status("degraded")
+        wait_for(lambda: calls.raised(STATUS) == ["up", "down", "up"])
+        assert f"another touchd writes {STATUS}; give one of them robot.prefix" in caplog.messages
+        second.set_status("degraded")
         calls.wait_for_raise(STATUS, "degraded")
-    assert calls.raised(STATUS) == ["up", "down", "up", "up", "degraded", "down"]
+        second.stop()
+        wait_for(lambda: calls.raised(STATUS) == ["up", "down", "up", "degraded", "down", "up"])
 
 
 def test_a_robot_that_comes_and_goes_is_logged_once_and_reported(caplog: pytest.LogCaptureFixture) -> None:
@@ -127,10 +125,9 @@ def test_a_robot_that_comes_and_goes_is_logged_once_and_reported(caplog: pytest.
         assert calls.raised(STATUS) == ["up", *["degraded"] * 3]
     why = "the connection was closed by the robot"
     assert states.told == [*[("up", ""), ("down", why)] * 2, ("up", "")]
-    first, second, third = (record.getMessage() for record in caplog.records)
-    assert first == f"robot {URL} is up"
-    assert second == f"robot {URL} is down ({why}); trying until it is there"
-    assert third.startswith(f"robot {URL} is up again (after ")
+    down, up = caplog.messages
+    assert down.startswith(f"robot {URL} is down ({why}); trying until it is there")
+    assert up.startswith(f"robot {URL} is up (after ")
 
 
 def test_a_robot_that_is_away_is_tried_ever_less_often_and_logged_once(
@@ -140,7 +137,7 @@ def test_a_robot_that_is_away_is_tried_ever_less_often_and_logged_once(
 
     def late(*_: object) -> RobotSession:
         tried.append(time.monotonic())
-        raise RobotLost(f"no answer within {len(tried)}.5 s")
+        raise RobotLost("no answer within 1.5 s")
 
     states = States()
     link = RobotLink(RobotSettings(url=URL), states, late)
@@ -179,7 +176,7 @@ def test_a_link_may_be_stopped_twice_and_before_it_starts() -> None:
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("touchd-robot")]
 
 
-def test_a_link_that_does_not_end_is_logged_and_left(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_link_that_does_not_end_is_left() -> None:
     begun, goes_on = threading.Event(), threading.Event()
 
     def hangs(*_: object) -> RobotSession:
@@ -194,7 +191,6 @@ def test_a_link_that_does_not_end_is_logged_and_left(caplog: pytest.LogCaptureFi
     link.stop(timeout_s=0.05)
     assert time.monotonic() - begun_s < 0.9
     goes_on.set()
-    assert "the link to the robot did not end within 0.05 s" in caplog.messages
     link.stop()
 
 
@@ -213,7 +209,7 @@ def test_these_are_addresses(url: str, host: str, port: int) -> None:
     assert RobotSettings(url=url).address[1:] == (host, port)
 
 
-NO_ADDRESS = r"is not an address such as tcp://nao\.local:9559"
+NO_ADDRESS = "is not a robot's name or address"
 NAO, PIN = "tcps://nao:9503", f"sha256:{'0a:' * 31}0A"
 TOKEN = {"user": "nao", "token_file": "/dev/null"}
 
@@ -224,8 +220,6 @@ TOKEN = {"user": "nao", "token_file": "/dev/null"}
         *(({"url": f"tcp://nao:{port}"}, NO_ADDRESS) for port in (65536, 123456, 0, "port", "9559/x")),
         *(({"url": url}, NO_ADDRESS) for url in ("udp://nao:1", "tcp://a b:9", "::1", "tcp://::1:9")),
         ({"url": "tcp://nao:s3cret@nao:9559"}, rf"tcp://\*\*\*@nao:9559' {NO_ADDRESS}"),
-        *(({"url": NAO, "prefix": prefix}, "must be one word") for prefix in ("ALTouch", "a/b", "")),
-        *(({"url": NAO, name: value}, "set both") for name, value in TOKEN.items()),
         ({"url": NAO, "user": "nao", "token_file": "s3cret"}, "token_file is not a full path"),
         ({"url": "tcp://nao:9559", **TOKEN}, "not encrypted; use tcps://"),
         ({"url": "tcp://nao:9559", "certificate": PIN}, "not encrypted; use tcps://"),
