@@ -6,6 +6,7 @@ import re
 import shutil
 import signal
 import socket
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -25,7 +26,7 @@ from rigs.wait import AT_ONCE_S, WITHIN_S
 from touchd.daemon.app.config import JournalSettings, LiveSettings, PadSettings, SensorSettings, Settings
 from touchd.daemon.app.parts import PadChannel
 from touchd.daemon.app.systemd import Health, Notifier
-from touchd.daemon.path.events import SensorEvent, TouchEnded, encode
+from touchd.daemon.path.events import Event, SensorEvent, TouchEnded, encode
 from touchd.daemon.path.service import Service
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
 from touchd.daemon.sinks.sink import LinesSink
@@ -181,6 +182,32 @@ def test_a_page_that_nobody_watches_does_not_hurry_the_reader() -> None:
         until_s = time.monotonic() + WITHIN_S
         service.run(lambda: pad.sensor.frames_together > 1 or time.monotonic() > until_s)
     assert pad.sensor.frames_together > 1
+
+
+class MeetingSink:
+    """A sink that stops once all others but the last one stop too."""
+
+    def __init__(self, stopped: list["MeetingSink"], others: threading.Barrier) -> None:
+        self._stopped, self._others = stopped, others
+
+    def start(self) -> None: ...
+
+    def put(self, event: Event) -> None: ...
+
+    def stop(self, timeout_s: float) -> None:
+        if self._stopped:
+            self._others.wait(AT_ONCE_S)
+        self._stopped.append(self)
+
+
+def test_the_robots_sink_stops_first_and_then_all_others_at_once() -> None:
+    service = Service(Settings(sensor=SensorSettings(port="/dev/nobody")))
+    stopped, others = list[MeetingSink](), threading.Barrier(3)
+    sinks = [MeetingSink(stopped, others) for _ in range(4)]
+    for sink in sinks:
+        service.tell(sink)
+    service.run(lambda: True)
+    assert (stopped[0], set(stopped), len(stopped)) == (sinks[-1], set(sinks), 4)
 
 
 def needs(program: str) -> pytest.MarkDecorator:
