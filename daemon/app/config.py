@@ -90,9 +90,9 @@ class SensorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
             near = get_close_matches(self.format, PRESETS, n=1)
             advice = f"did you mean {near[0]}?" if near else "it may also be a description"
             raise ValueError(f"format {self.format!r} is none of {', '.join(PRESETS)}; {advice}")
-        has_mark = self.described.first_bytes or self.described.framing != "binary"
+        has_mark = self.described.header or self.described.framing != "binary"
         if not has_mark and not self.port.startswith("udp://"):
-            raise ValueError("a binary format needs a header or footer; lines of numbers need framing: text")
+            raise ValueError("a binary format needs a header; lines of numbers need framing: text")
 
     @property
     def described(self) -> PadFormat:

@@ -34,7 +34,7 @@ def encode_values(described: PadFormat, values: Values, sensor_ms: int | None) -
     body += bytes(described.skip) + _cells(described, values.ravel()) + bytes(described.tail)
     if described.checksum != "none":
         body += bytes([checksum(described, body, int(values.sum()) + time * described.has_clock)])
-    return bytes.fromhex(described.header) + body + bytes.fromhex(described.footer)
+    return described.header_bytes + body
 
 
 def values_of(described: PadFormat, counts: Counts) -> Values:

@@ -29,20 +29,19 @@ def frame_bytes(described: PadFormat) -> int:
     """Return the length of a pad's binary frame."""
     cells = -(-described.cells * CELL_BITS[described.cell] // 8)
     around = described.skip + described.tail + (described.checksum != "none")
-    return len(described.first_bytes) + CLOCK_BYTES * described.has_clock + cells + around
+    return len(described.header_bytes) + CLOCK_BYTES * described.has_clock + cells + around
 
 
 class BinaryFraming:
-    """Finds frames with a header or a footer; without either, a datagram of a frame's length is a frame.
+    """Finds frames that begin with a header; without one, a datagram of a frame's length is a frame.
 
-    A footer is read as part of the next frame's header, so bytes before the first footer are never used.
     Keeps less than two frames' bytes between calls.
     """
 
     def __init__(self, described: PadFormat, counts: ProtocolCounts) -> None:
         self._format = described
         self._counts = counts
-        self._header = described.first_bytes
+        self._header = described.header_bytes
         self._size = frame_bytes(described)
         self._cells_at = len(self._header) + CLOCK_BYTES * described.has_clock + described.skip
         self.buffer = b""

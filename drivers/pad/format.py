@@ -1,5 +1,6 @@
 """What a pad sends and how it lies, described rather than programmed."""
 
+import re
 from typing import Annotated, Literal, NamedTuple
 
 import msgspec
@@ -37,24 +38,13 @@ class FormatError(TouchdError, ValueError):
     """A description contradicts itself; the message says which setting and why."""
 
 
-def _check_hex(name: str, text: str) -> None:
-    """Refuse a text that is not bytes in hex, or that holds only white space."""
-    try:
-        is_empty = not bytes.fromhex(text)
-    except ValueError:
-        is_empty = True
-    if text and is_empty:
-        hint = f"; the text {text!r} is '{text.encode().hex(' ')}'" if text.isascii() else ""
-        raise FormatError(f"{name} {text!r} is not bytes in hex, as in 'aa ab ac'{hint}")
-
-
 class SentFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """How a pad's bytes become pressure; docs/pads.md explains each key.
 
-    A binary frame is header, clock (uint32), skip, cells, tail or checksum, footer. A frame of text is one
-    line of all cells, or several lines with equally many numbers; skip and tail are numbers of each line, and
-    the first one skipped in a line of all cells is its clock. Values above full_scale are cut to it, negative
-    ones to 0.
+    A binary frame is header, clock (uint32), skip, cells, tail or checksum; bytes that end a frame belong to
+    the next one's header. A frame of text is one line of all cells, or several lines with equally many
+    numbers; skip and tail are numbers of each line, and the first one skipped in a line of all cells is its
+    clock. Values above full_scale are cut to it, negative ones to 0.
     """
 
     framing: Literal["text", "binary"] = "binary"
@@ -64,7 +54,6 @@ class SentFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     tail: Few = 0
     end: str = ""
     header: str = ""
-    footer: str = ""
     clock: Literal["none", "ms", "us", "s"] = "none"
     cell: Literal["u8", "u12", "u16", "i16", "f32"] = "u16"
     order: Literal["little", "big"] = "little"
@@ -74,8 +63,6 @@ class SentFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     crop: Annotated[int, msgspec.Meta(ge=0, le=28)] = 0
 
     def __post_init__(self) -> None:
-        for name in ("header", "footer"):
-            _check_hex(name, getattr(self, name))
         rows, columns = self.used
         if not all(SHORTEST_SIDE <= side <= LONGEST_SIDE for side in self.used):
             raise FormatError(
@@ -89,7 +76,7 @@ class SentFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     def _check_text(self) -> None:
         plain = SentFormat()
-        for name in ("header", "footer", "cell", "order", "checksum"):
+        for name in ("header", "cell", "order", "checksum"):
             if getattr(self, name) != getattr(plain, name):
                 what = "text has rows, columns, skip, tail, clock and end"
                 raise FormatError(f"{name} is for a binary format; {what}")
@@ -103,7 +90,9 @@ class SentFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     def _check_binary(self) -> None:
         if self.end:
-            raise FormatError("end is for a text format; a binary one has a footer")
+            raise FormatError("end is for a text format; a binary one has a header")
+        if not re.fullmatch(r"(\s*[0-9a-fA-F]{2})*", self.header):
+            raise FormatError(f"header {self.header!r} is not bytes in hex, as in 'aa ab ac'")
         if self.tail and self.checksum != "none":
             raise FormatError("tail and checksum both describe a frame's last bytes: keep one")
         if self.full_scale > CELL_TOP.get(self.cell, self.full_scale):
@@ -119,7 +108,7 @@ class SentFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     def line(self) -> tuple[object, ...]:
         """The line's format, without the grid and its values."""
         cells = (self.cell, self.order, self.checksum)
-        return (self.framing, self.skip, self.tail, self.end, self.header, self.footer, self.clock, *cells)
+        return (self.framing, self.skip, self.tail, self.end, self.header, self.clock, *cells)
 
     @property
     def has_clock(self) -> bool:
@@ -137,9 +126,9 @@ class SentFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         return self.rows - 2 * self.crop, self.columns - 2 * self.crop
 
     @property
-    def first_bytes(self) -> bytes:
-        """The bytes before a frame: the previous frame's footer (none before the first frame), its header."""
-        return bytes.fromhex(self.footer) + bytes.fromhex(self.header)
+    def header_bytes(self) -> bytes:
+        """The bytes that a frame begins with."""
+        return bytes.fromhex(self.header)
 
 
 class PadFormat(SentFormat, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):

@@ -126,7 +126,7 @@ def test_a_file_in_another_encoding_is_reported_with_its_line(tmp_path: Path) ->
             "velostat, m1616; did you mean fabric-grid?",
         ),
         ("sensor: {format: {header: aa, clock: true}}", "sensor.format.clock: "),
-        ("sensor: {format: {framing: binary}}", "needs a header or footer"),
+        ("sensor: {format: {framing: binary}}", "needs a header"),
         ("sensor: {format: {rows: 8, columns: 8}}", "lines of numbers need framing: text"),
         (
             "live:\n  #port: 8054",

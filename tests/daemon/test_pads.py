@@ -180,7 +180,7 @@ def test_the_robot_gets_each_pads_events_under_its_name() -> None:
         ),
         (
             "sensors: {head: {port: 'tcp://pad:4000', format: {rows: 8, columns: 8}}}",
-            "a binary format needs a header or footer",
+            "a binary format needs a header",
         ),
         (
             f"sensors: {{{', '.join(f'p{n}: {{port: /dev/tty{n}}}' for n in range(MAX_PADS + 1))}}}",
