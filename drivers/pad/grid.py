@@ -26,8 +26,6 @@ LOST_STEP = 1.75
 # The longest gap bridged by interpolation, which marks the touch as degraded. A longer gap ends the touch. At
 # 0.15 s, 10 % of the third study's touches are detected as more than one; at 0.2 s, 9 %.
 MAX_GAP_MS = 200
-# If the clock runs back by less, a frame came late; if by more, the sensor has restarted.
-LATE_MS = 1000
 
 
 class GridFrame(msgspec.Struct, frozen=True, eq=False):
@@ -60,27 +58,18 @@ class Ring:
         self._grid_ms = 0.0
         self._phase_ms = 0.0
         self._in_step = IN_STEP_FRAMES
-        self._late: Frame | None = None
         self._vibration = Vibration()
 
     def push(self, frame: Frame) -> list[GridFrame]:
         """Take the sensor's next frame; return the grid frames that it completes, oldest first.
 
-        Return none for a duplicate or a late frame; one, marked `restarted`, for the first frame, after a gap
-        too long to bridge, and if the sensor's clock has restarted.
+        Return none for a duplicate; one, marked `restarted`, for the first frame, after a gap too long to
+        bridge, and if the sensor's clock runs back.
         """
         pressure = frame.pressure.astype(np.float32)
         if self._sensor_ms is None:
             return [self._restart(frame, pressure)]
         elapsed_ms = (frame.sensor_ms - self._sensor_ms) % CLOCK_MODULUS
-        if elapsed_ms > CLOCK_MODULUS - LATE_MS:
-            late, self._late = self._late, frame
-            if late is None or not 0 < (frame.sensor_ms - late.sensor_ms) % CLOCK_MODULUS <= MAX_GAP_MS:
-                return []
-            # Two in a row are not late frames: the clock itself ran back.
-            self._sensor_ms = None
-            return [*self.push(late), *self.push(frame)]
-        self._late = None
         if elapsed_ms == 0:
             return []
         if elapsed_ms > MAX_GAP_MS:
