@@ -41,7 +41,7 @@ class FormatError(TouchdError, ValueError):
 class SentFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """How a pad's bytes become pressure; docs/pads.md explains each key.
 
-    A binary frame is header, clock (uint32), skip, cells, tail or checksum; bytes that end a frame belong to
+    A binary frame is header, clock (uint32), skip, cells, tail, checksum; bytes that end a frame belong to
     the next one's header. A frame of text is one line of all cells, or several lines with equally many
     numbers; skip and tail are numbers of each line, and the first one skipped in a line of all cells is its
     clock. Values above full_scale are cut to it, negative ones to 0.
@@ -82,19 +82,12 @@ class SentFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
                 raise FormatError(f"{name} is for a binary format; {what}")
         if self.has_clock and not self.skip:
             raise FormatError("clock is the first number that skip leaves out: set skip to 1 or more")
-        if self.end != self.end.strip() or not self.end.isprintable():
-            raise FormatError(
-                f"end {self.end!r} can never match: lines are compared without line ends and outer spaces; "
-                "leave it out where a blank line ends a frame"
-            )
 
     def _check_binary(self) -> None:
         if self.end:
             raise FormatError("end is for a text format; a binary one has a header")
         if not re.fullmatch(r"(\s*[0-9a-fA-F]{2})*", self.header):
             raise FormatError(f"header {self.header!r} is not bytes in hex, as in 'aa ab ac'")
-        if self.tail and self.checksum != "none":
-            raise FormatError("tail and checksum both describe a frame's last bytes: keep one")
         if self.full_scale > CELL_TOP.get(self.cell, self.full_scale):
             raise FormatError(f"full_scale {self.full_scale:g} does not fit into a cell of {self.cell}")
 

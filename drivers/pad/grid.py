@@ -77,7 +77,8 @@ class Ring:
         now_ms = self._clock_ms + elapsed_ms
         self._follow_phase(now_ms)
         is_in_step = self._in_step > IN_STEP_FRAMES
-        due_ms = self._times_until(now_ms - PERIOD_MS / 2 if is_in_step else now_ms)
+        count = int((now_ms - self._grid_ms) / PERIOD_MS - (0.5 if is_in_step else 0.0))
+        due_ms = [self._grid_ms + (i + 1) * PERIOD_MS for i in range(count)]
         if is_in_step:
             due_ms.append(float(now_ms))
         frames = [self._between(frame, pressure, now_ms, at_ms) for at_ms in due_ms]
@@ -121,10 +122,6 @@ class Ring:
         else:
             self._phase_ms = float(now_ms)
             self._in_step = 0
-
-    def _times_until(self, end_ms: float) -> list[float]:
-        count = int((end_ms - self._grid_ms) / PERIOD_MS)
-        return [self._grid_ms + (i + 1) * PERIOD_MS for i in range(count)]
 
     def _between(self, frame: Frame, pressure: NDArray[np.float32], now_ms: int, at_ms: float) -> GridFrame:
         """Lay the grid frame at `at_ms`, between the previous sensor frame and this one."""

@@ -83,48 +83,39 @@ class _Wave:
         *_, real, imaginary = np.linalg.lstsq(parts, light[:, light.shape[1] // 3], rcond=None)[0].tolist()
         return complex(real, imaginary)
 
-    def off(self, frames: Pressures) -> float:
-        """Return by how much a fit to the frames is ahead, in radians."""
-        return cmath.phase(self.fit(frames) / self.now)
-
 
 class Vibration:
     """Follows a pad's frames on the grid and returns them without vibration."""
 
     def __init__(self) -> None:
-        self._newest: list[Pressures] = []
-        self._blocks: deque[Pressures] = deque(maxlen=WINDOW_FRAMES // STRIDE_FRAMES)
-        self._means: deque[NDArray[np.float64]] = deque(maxlen=WINDOW_FRAMES // STRIDE_FRAMES)
+        self._recent = deque[Pressures](maxlen=WINDOW_FRAMES)
+        self._taken = 0
         self._wave: _Wave | None = None
 
     def take_out(self, pressure: Pressures) -> Pressures:
         """Take the next (8, 8) counts; return the same array unless the pad vibrates."""
-        self._newest.append(pressure)
-        wave = self._wave
-        if wave is not None:
-            wave.now *= cmath.exp(1j * wave.turn)
-        if len(self._newest) == STRIDE_FRAMES:
-            block = np.array(self._newest).reshape(STRIDE_FRAMES, -1)
-            self._blocks.append(block)
-            self._means.append(np.add.reduce(block, axis=1, dtype=np.float64) / block.shape[1])
-            self._newest.clear()
-            if len(self._blocks) == self._blocks.maxlen:
-                self._look()
+        self._recent.append(pressure)
+        self._taken += 1
+        if self._wave is not None:
+            self._wave.now *= cmath.exp(1j * self._wave.turn)
+        if self._taken >= WINDOW_FRAMES and self._taken % STRIDE_FRAMES == 0:
+            self._look(np.array(self._recent).reshape(WINDOW_FRAMES, -1))
         wave = self._wave
         if wave is None:
             return pressure
         return wave.without(pressure.reshape(1, -1), wave.values(AGO[-1:])).reshape(pressure.shape)
 
-    def _look(self) -> None:
+    def _look(self, frames: Pressures) -> None:
+        """Find, follow or forget a vibration in the last frames (T, 64)."""
         wave = self._wave
-        common = np.concatenate(self._means)
-        common -= np.add.reduce(common) / WINDOW_FRAMES
+        common = frames.mean(axis=1, dtype=np.float64)
+        common -= common.mean()
         if wave is None and common @ common < WINDOW_FRAMES * (LEAST_COUNTS / 2) ** 2:
             # The pad is calm.
             return
-        frames = np.concatenate(self._blocks)
         found = _find(frames, common)
-        off = 0.0 if wave is None else wave.off(frames)
+        # By how much a fit is ahead, in radians.
+        off = 0.0 if wave is None else cmath.phase(wave.fit(frames) / wave.now)
         if found is not None and (wave is None or abs(off) >= LIKE_RADIANS):
             new = _learn(frames, *found)
             self._wave = new if abs(new.now) >= LEAST_COUNTS else None
@@ -162,19 +153,13 @@ def _find(frames: Pressures, common: NDArray[np.float64]) -> tuple[float, comple
     explained = HANN.sum() * abs(now) ** 2 / 2
     if abs(now) < LEAST_COUNTS or explained < LEAST_EXPLAINED * float(HANN @ common**2):
         return None
-    alive = frames[:, _is_alive(frames)]
+    alive = frames[:, np.ptp(frames, axis=0) > 0]
     following = np.sort((WAVES[at] @ (alive - alive.mean(axis=0)) / now).real)
     if 4 * len(following) < 3 * frames.shape[1]:
         # Taxels that stand still, such as a row with a broken wire, do not count, but most have to vary.
         return None
     quarter, high = following[len(following) // 4], following[9 * len(following) // 10]
     return (float(TURNS[at]), now) if quarter >= QUARTER_SHARE * high else None
-
-
-def _is_alive(frames: Pressures) -> NDArray[np.bool_]:
-    """Return (64,), which taxels change in (T, 64) counts."""
-    alive: NDArray[np.bool_] = (frames != frames[0]).any(axis=0)
-    return alive
 
 
 def _learn(frames: Pressures, turn: float, now: complex) -> _Wave:
@@ -187,6 +172,6 @@ def _learn(frames: Pressures, turn: float, now: complex) -> _Wave:
     slopes = off @ upper / (off @ off)
     # The median slope is 0 if more than half of the taxels are cut off at the top.
     scale = max(float(np.median(slopes)), SAME_SHARE)
-    weights = np.where(_is_alive(frames), np.clip(slopes / scale, 0.3, 2.0), 0.0)
+    weights = np.where(np.ptp(frames, axis=0) > 0, np.clip(slopes / scale, 0.3, 2.0), 0.0)
     rest = upper.mean(axis=0) - weights * scale * above.mean()
     return _Wave(turn, now * scale, weights.astype(np.float32), rest.astype(np.float32))
