@@ -25,7 +25,7 @@ from touchd.drivers.frame import Frame
 from touchd.drivers.pad import port as pad_port
 from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.parser import FrameParser
-from touchd.drivers.pad.port import SensorError, check_port, open_port, read_waiting
+from touchd.drivers.pad.port import SensorError, check_port, open_port, read_waiting, sensor_error
 from touchd.drivers.pad.sensor import FrameQueue, Sensor
 
 # See ioctl_tty(2); the module termios lacks it.
@@ -70,7 +70,9 @@ def test_the_ports_that_are_there_are_named_beside_one_that_is_not(
     for name in ("ttyUSB0", "ttyACM1", "ttyS0"):
         (tmp_path / name).touch()
     with pytest.raises(SensorError, match=rf"is not there; there is {tmp_path}/ttyACM1, {tmp_path}/ttyUSB0$"):
-        open_port(f"{tmp_path}/ttyACM0", BAUD)
+        open_port(f"{tmp_path}/ttyACM5", BAUD)
+    with pytest.raises(SensorError, match=r"cannot be opened: [^;]*$"):
+        open_port("/dev/null", BAUD)
     with pytest.raises(SensorError, match=r"refuses the connection$"):
         open_port(f"tcp://127.0.0.1:{free_port()}", BAUD)
 
@@ -97,6 +99,10 @@ def test_system_errors_of_a_port_are_reported_in_words(
     with pytest.raises(SensorError, match=re.escape(reason)) as refused:
         open_port("/dev/ttyACM0", BAUD)
     assert (refused.value.kind, refused.value.number) == (kind, number)
+
+
+def test_an_address_that_does_not_answer_is_missing_whatever_the_error() -> None:
+    assert sensor_error("tcp://pad:4000", OSError(errno.EHOSTDOWN, "Host is down")).kind == "missing"
 
 
 def test_a_device_that_is_not_a_terminal_is_named() -> None:
