@@ -140,6 +140,7 @@ NO_ROBOT = "does not speak NAOqi's protocol"
         pytest.param(logged_in(1, 1), "the login is refused", id="refused"),
         pytest.param(logged_in(1, 2), "the login is refused", id="wants more than a token"),
         pytest.param(said(REPLY, 1, b"", magic=b"HTTP"), NO_ROBOT, id="another protocol"),
+        pytest.param(said(REPLY, 1, b"", magic=bytes(4)), NO_ROBOT, id="zeros"),
         pytest.param(b"\x15\x03\x01\x00\x02\x02\x16" * 10, NO_ROBOT, id="TLS"),
         pytest.param(
             HEADER.pack(MAGIC, 1, MOST_BYTES + 1, 0, REPLY, 0, 0, 0, 8), NO_ROBOT, id="a lying length"
