@@ -324,7 +324,7 @@ def test_the_demo_shows_touch_answers_and_robot_and_ends(
     recording = tmp_path / "demo.csv.gz"
     write_simulated(recording, [("notouch", 2.0), ("pat", 3.5), ("notouch", 6.0)], seed=1)
     monkeypatch.setattr(demo, "DEMO_RECORDING", recording)
-    monkeypatch.setattr(demo, "PACE", 5.0)
+    monkeypatch.setattr(demo, "PACE", 12.0)
     assert cli.main(["demo"]) == 0
     shown = capfd.readouterr()
     assert shown.err == ""

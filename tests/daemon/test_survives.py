@@ -72,7 +72,7 @@ def test_a_log_that_nobody_reads_stops_nothing(tmp_path: Path) -> None:
         while True:
             os.write(writer, b"x" * 65536)
     os.set_blocking(writer, True)
-    with FakePort(stream_of(LENGTHS), encoder_for(SensorSettings()), speed=4.0) as port, open(writer) as log:
+    with FakePort(stream_of(LENGTHS), encoder_for(SensorSettings()), speed=16.0) as port, open(writer) as log:
         settings = Settings(sensor=SensorSettings(port=port.path))
         daemon = SpawnedDaemon(settings, tmp_path, log)
         try:
