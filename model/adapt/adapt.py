@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from touchd.drivers.frame import NO_TOUCH, OTHER
 from touchd.drivers.recording import Recording
-from touchd.model.adapt.backbone import BAR, CropFeatures, WindowFeatures, crops, split, windows
+from touchd.model.adapt.backbone import CropFeatures, WindowFeatures, crops, split, windows
 from touchd.model.adapt.head import AdaptSettings, fit, rebuilt
 from touchd.model.adapt.measure import Comparison, Fold, Scored, compare, plan
 from touchd.model.adapt.remembered import Remembered
@@ -96,7 +96,7 @@ def adapt(
     shown = pretrained.shown(recordings, settings)
     left_out, folds = plan(recordings)
     trained = [*(fold.trained for fold in folds), tuple(range(len(recordings)))]
-    bar = tqdm(trained, desc="adapting", bar_format=BAR, leave=False, disable=None)
+    bar = tqdm(trained, desc="adapting", leave=False, disable=None)
     *heads, head = [fit(begin, labels, new, shown.of(own), rehearsed, settings) for own in bar]
     turns = list(zip(heads, folds, strict=True))
     scored = {

@@ -7,6 +7,7 @@ through the backbone once, however many heads are trained on it.
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import msgspec
 import numpy as np
@@ -24,8 +25,6 @@ from touchd.model.tgc import TGC
 
 LEARNT_LENGTHS = (54, 81, 108, 144)
 BATCH = 64
-# A progress bar without tqdm's rate, which does not help somebody who waits.
-BAR = "{desc}: {n_fmt} of {total_fmt} |{bar}| {elapsed}"
 # A recording shorter than a crop is used from its start, at its own pace; its last frame is repeated.
 AS_IT_IS = {"published_framing": 0.0, "change_pace": 0.0, "onset": 0.0}
 # The tracker dates a touch up to three frames too early or two too late.
@@ -34,6 +33,8 @@ EARLIEST_FRAMES, LATEST_FRAMES = 3, 2
 AFTER_FRAMES = 13
 ANSWERED_FRAMES = (9, 20)
 PACE = 0.2
+Window: TypeAlias = tuple[int, NDArray[np.generic], int]
+"""The recording's number, counts (T, 8, 8), and after how many of them to answer."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,10 +50,8 @@ class CropFeatures:
     gestures: tuple[str, ...]
 
     def of(self, recordings: Sequence[int]) -> "CropFeatures":
-        chosen = torch.tensor(recordings, dtype=torch.long)
-        return CropFeatures(
-            self.values[chosen], self.within[chosen], tuple(self.gestures[i] for i in recordings)
-        )
+        chosen, gestures = list(recordings), tuple(self.gestures[i] for i in recordings)
+        return CropFeatures(self.values[chosen], self.within[chosen], gestures)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,18 +77,18 @@ def crops(
     longest = LEARNT_LENGTHS[-1]
     frames = Frames.of([_filled(recording.counts, longest) for recording in recordings])
     lengths = [longest if isinstance(each, InPassing) else len(each.counts) for each in recordings]
-    resting = _resting(recordings)
+    resting = [i for i, recording in enumerate(recordings) if recording.gesture == NO_TOUCH]
     still = msgspec.structs.replace(settings, **AS_IT_IS)
     values = []
-    shown = tqdm(recordings, desc="preparing", bar_format=BAR, leave=False, disable=None)
-    for i, recording in enumerate(shown):
+    for i, recording in enumerate(tqdm(recordings, desc="preparing", leave=False, disable=None)):
         if isinstance(recording, InPassing):
             touches, ends = varied_touches(recording, each, rng)
             values.append(backbone.at_own_lengths(vary(touches, settings, rng), ends))
             continue
         own = settings if lengths[i] > longest else still
         windows = crop(frames, torch.full((each,), i), longest, own, rng)
-        if rests := resting.get(recording.participant, resting.get(None, [])):
+        own_rests = [j for j in resting if recordings[j].participant == recording.participant]
+        if rests := own_rests or resting:
             chosen = torch.tensor(rests)[torch.randint(len(rests), (each,), generator=rng)]
             windows = begin_from_rest(windows, crop(frames, chosen, longest, still, rng), own, rng)
         values.append(backbone.at_lengths(vary(windows, settings, rng), LEARNT_LENGTHS))
@@ -102,44 +101,27 @@ def windows(backbone: TGC, recordings: Sequence[Recording]) -> dict[int, WindowF
 
     At IN_PASSING: of touches in passing, when the daemon answers them.
     """
-    passing = [(i, each) for i, each in enumerate(recordings) if isinstance(each, InPassing)]
-    long = [(i, each) for i, each in enumerate(recordings) if not isinstance(each, InPassing)]
-    found = {IN_PASSING: _summaries(backbone, [(i, *when_answered(each)) for i, each in passing])}
-    for length in LENGTHS:
-        cut = [
-            (i, recording.counts[start : start + length], length)
-            for i, recording in long
-            for start in _starts(len(recording.counts), length)
-        ]
-        found[length] = _summaries(backbone, cut)
-    return found
+    cut: dict[int, list[Window]] = {length: [] for length in (IN_PASSING, *LENGTHS)}
+    for i, recording in enumerate(recordings):
+        if isinstance(recording, InPassing):
+            cut[IN_PASSING].append((i, *when_answered(recording)))
+            continue
+        frames = len(recording.counts)
+        for length in (length for length in LENGTHS if length <= frames):
+            # A realigned recording is one frame short, so its last window begins earlier.
+            for start in range(0, frames - length + 2, length):
+                first = min(start, frames - length)
+                cut[length].append((i, recording.counts[first : first + length], length))
+    return {length: _summaries(backbone, own) for length, own in cut.items()}
 
 
-def _summaries(backbone: TGC, cut: Sequence[tuple[int, NDArray[np.generic], int]]) -> WindowFeatures:
-    """cut: of each window the recording, its counts (T, 8, 8), and after how many of them to answer."""
+def _summaries(backbone: TGC, cut: Sequence[Window]) -> WindowFeatures:
     values = [torch.zeros(0, 3 * backbone.settings.width)]
     for i in range(0, len(cut), BATCH):
         _, counts, lengths = zip(*cut[i : i + BATCH], strict=True)
         batch = torch.from_numpy(np.stack(counts).astype(np.float32))
         values.append(backbone.at_own_lengths(batch, torch.tensor(lengths)[:, None]).squeeze(1))
     return WindowFeatures(torch.cat(values), np.array([i for i, *_ in cut], dtype=np.int64))
-
-
-def _starts(frames: int, length: int) -> list[int]:
-    """Return the windows' first frames; a realigned recording is one frame short, so its last is earlier."""
-    if frames < length:
-        return []
-    return [min(window * length, frames - length) for window in range((frames + 1) // length)]
-
-
-def _resting(recordings: Sequence[Recording]) -> dict[str | None, list[int]]:
-    """Return each participant's recordings at rest, and everybody's under None."""
-    resting: dict[str | None, list[int]] = {}
-    for i, recording in enumerate(recordings):
-        if recording.gesture == NO_TOUCH:
-            for name in (recording.participant, None):
-                resting.setdefault(name, []).append(i)
-    return resting
 
 
 def _filled(counts: NDArray[np.generic], length: int) -> Tensor:

@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchd.drivers.errors import TouchdError, os_errors_as
-from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, NO_TOUCH, ROWS, Counts
+from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, NO_TOUCH, ROWS
 from touchd.drivers.recording import (
     SUFFIXES,
     UNLABELLED,
@@ -58,11 +57,8 @@ def read_all(
     """
     recordings: list[Recording] = []
     passed_over: Counter[str] = Counter()
-    files = files_of(folder)
-    if not files:
-        raise ExtraError(f"{folder}: holds no recordings; make some with `touchd record {folder}`")
     first_of: dict[bytes, Path] = {}
-    for path in files:
+    for path in files_of(folder):
         parts = _labelled([realign(part) for part in read_file(path)], labels.get(path.name, UNLABELLED))
         if any(part.gesture == UNLABELLED for part in parts):
             passed_over[NO_LABEL] += 1
@@ -97,22 +93,18 @@ def _labelled(parts: list[Recording], label: str) -> list[Recording]:
 
 def _as_known(recordings: Sequence[Recording]) -> list[Recording]:
     """Apply `as_known` with the rest of each recording's own set-up, or else of any other."""
-    resting = [recording for recording in recordings if recording.gesture == NO_TOUCH]
-    rests = {set_up(each): _median(each.counts) for each in reversed(resting)}
-    usual = next(iter(rests.values()), np.zeros((ROWS, COLUMNS), np.float32))
+    resting = {set_up(each): each.counts for each in reversed(recordings) if each.gesture == NO_TOUCH}
+    usual = next(iter(resting.values()), np.zeros((1, ROWS, COLUMNS)))
     found = []
     for each in recordings:
-        rest = rests.get(set_up(each), usual)
+        rest = resting.get(set_up(each), usual)
         if isinstance(each, InPassing):
             # Before the touch, if there is enough of it: afterwards a fabric's rest has shifted.
             is_enough = each.first >= LEAST_AFTER_FRAMES
-            rest = _median(each.counts[: each.first] if is_enough else each.counts[each.over :])
-        found.append(replace(each, counts=as_known(each.counts.astype(np.float32), rest)))
+            rest = each.counts[: each.first] if is_enough else each.counts[each.over :]
+        level = np.median(rest, axis=0).astype(np.float32)
+        found.append(replace(each, counts=as_known(each.counts.astype(np.float32), level)))
     return found
-
-
-def _median(counts: Counts | NDArray[np.float32]) -> NDArray[np.float32]:
-    return np.median(counts, axis=0).astype(np.float32)
 
 
 def files_of(folder: Path) -> list[Path]:
@@ -137,10 +129,8 @@ def trouble_with(gestures: Collection[str], known: Collection[str] = ()) -> str:
     """Return what is wrong with gesture names, alone or beside the known ones; "" if nothing is."""
     for gesture in gestures:
         if gesture == RESERVED or not GESTURE.fullmatch(gesture):
-            return (
-                f"{gesture!r} cannot name a gesture; letters, digits, - and _ can, "
-                f"{LONGEST_LABEL} at most, but not {RESERVED!r}"
-            )
+            allowed = f"letters, digits, - and _ can, {LONGEST_LABEL} at most, but not {RESERVED!r}"
+            return f"{gesture!r} cannot name a gesture; {allowed}"
     written: dict[str, str] = {}
     for gesture in sorted({*gestures, *known}):
         other = written.setdefault(re.sub(r"[-_]", "", gesture).lower(), gesture)
@@ -168,8 +158,10 @@ def _check_gestures(folder: Path, gestures: set[str], known: Sequence[str], keep
     if why := trouble_with(gestures, known):
         raise ExtraError(f"{folder}: {why}")
     if len(gestures) < 2:
+        found = f"nothing but {', '.join(gestures)}" if gestures else "no recordings"
         raise ExtraError(
-            f"{folder}: nothing but {', '.join(gestures)}; telling apart takes two, so record another too"
+            f"{folder}: holds {found}, and telling apart takes two gestures; make some with "
+            f"`touchd record {folder}`"
         )
     labels = gestures.union(known if keep_all else (), {NO_TOUCH})
     if len(labels) > MOST_LABELS:

@@ -79,11 +79,11 @@ def fit(
         for step in range(settings.steps):
             sources = zip((shown, rehearsed), counts, strict=True)
             parts = [_draw(crops, labels, count, rng) for crops, count in sources]
-            distances = [
+            distance = sum(
                 (penalty * (weight - pretrained).square()).sum()
                 for penalty, weight, pretrained in zip(penalties, head.parameters(), before, strict=True)
-            ]
-            loss = _loss(head, parts, settings) + torch.stack(distances).sum() / len(shown.gestures)
+            )
+            loss = _loss(head, parts, settings) + distance / len(shown.gestures)
             _descend(loss, optimizer, learning_rate_at(step, settings.steps, settings.learning_rate))
     head.eval().requires_grad_(False)
     shares = _each(start, settings.blend, 1.0, is_new)

@@ -6,9 +6,9 @@ never on both sides. A held-out recording is evaluated only if the fold trains o
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -27,34 +27,32 @@ MOST_RECORDING_FOLDS = 4
 UPPER = 0.975
 
 
-@dataclass(frozen=True)
-class Fold:
+class Fold(NamedTuple):
     """Numbers of the recordings to train on and of those held out and evaluated."""
 
-    trained: tuple[int, ...]
-    evaluated: tuple[int, ...]
+    trained: list[int]
+    evaluated: list[int]
 
 
 def plan(recordings: Sequence[Recording]) -> tuple[LeftOut, list[Fold]]:
     """Return what is held out, and the folds; none if there are too few recordings to hold any out."""
     people = sorted({recording.participant for recording in recordings})
-    left_out: LeftOut = "participants"
+    left_out: LeftOut = "participants" if len(people) > 1 else "recordings"
     fold_of = [people.index(recording.participant) % MOST_PARTICIPANT_FOLDS for recording in recordings]
-    if len(people) < 2:
+    if left_out == "recordings":
         # Distribute the recordings of each gesture over the folds.
-        left_out, dealt = "recordings", Counter[str]()
+        earlier = Counter[str]()
         for place, recording in enumerate(recordings):
-            fold_of[place] = dealt[recording.gesture] % MOST_RECORDING_FOLDS
-            dealt[recording.gesture] += 1
+            fold_of[place] = earlier[recording.gesture] % MOST_RECORDING_FOLDS
+            earlier[recording.gesture] += 1
     folds = []
     for fold in sorted(set(fold_of)):
-        trained = tuple(i for i, own in enumerate(fold_of) if own != fold)
+        trained = [i for i, own in enumerate(fold_of) if own != fold]
         gestures = {recordings[i].gesture for i in trained}
-        held_out = (i for i, own in enumerate(fold_of) if own == fold)
-        evaluated = tuple(i for i in held_out if recordings[i].gesture in gestures)
+        held_out = [i for i, own in enumerate(fold_of) if own == fold and recordings[i].gesture in gestures]
         # With one label, accuracy is trivially 100 %.
-        if evaluated and len(gestures) > 1:
-            folds.append(Fold(trained, evaluated))
+        if held_out and len(gestures) > 1:
+            folds.append(Fold(trained, held_out))
     return left_out if folds else "nothing", folds
 
 
@@ -111,17 +109,13 @@ def compare(scored: Mapping[int, Sequence[Scored]], known: Sequence[str], left_o
 
 def _figures(frames: int, scored: Sequence[Scored], known: Sequence[str], left_out: LeftOut) -> LengthFigures:
     gestures = {}
-    for name in sorted({each.gesture for each in scored}):
-        own = [each for each in scored if each.gesture == name]
+    for name, own in _by(scored, "gesture").items():
         was = _macro(own, "before") if name in known else None
         gestures[name] = GestureFigures(recordings=len(own), before=was, after=_macro(own, "after"))
     in_both = [each for each in scored if each.gesture in known]
     if not in_both:
         return LengthFigures(frames=frames, gestures=gestures)
-    groups = [in_both]
-    if left_out == "participants":
-        people = sorted({each.participant for each in in_both})
-        groups = [[each for each in in_both if each.participant == person] for person in people]
+    groups = [*_by(in_both, "participant").values()] if left_out == "participants" else [in_both]
     before, after = (np.array([_macro(group, when) for group in groups]) for when in ("before", "after"))
     interval = mean_interval(after - before)
     if left_out != "participants":
@@ -130,12 +124,16 @@ def _figures(frames: int, scored: Sequence[Scored], known: Sequence[str], left_o
     return LengthFigures(frames=frames, gestures=gestures, before=means[0], after=means[1], interval=interval)
 
 
-def _macro(scored: Iterable[Scored], when: str) -> float:
+def _by(scored: Sequence[Scored], key: Literal["gesture", "participant"]) -> dict[str, list[Scored]]:
+    """Return the recordings of each gesture or participant, sorted by its name."""
+    names = sorted({getattr(each, key) for each in scored})
+    return {name: [each for each in scored if getattr(each, key) == name] for name in names}
+
+
+def _macro(scored: Sequence[Scored], when: Literal["before", "after"]) -> float:
     """Return the mean over gestures of the recordings' shares."""
-    shares: dict[str, list[float]] = {}
-    for each in scored:
-        shares.setdefault(each.gesture, []).append(getattr(each, when))
-    return float(np.mean([np.mean(own) for own in shares.values()]))
+    by_gesture = _by(scored, "gesture").values()
+    return float(np.mean([np.mean([getattr(each, when) for each in own]) for own in by_gesture]))
 
 
 def paired_interval(gains: Floats) -> tuple[float, float]:

@@ -11,15 +11,15 @@ from touchd.model.adapt.passing import IN_PASSING
 
 # If two participants happen to change equally, the interval has no width.
 FEW_PARTICIPANTS = 3
-
 WIDTH = 80
 NAME_WIDTH = 20
 NO_NAMES: Mapping[str, str] = {}
+RIGHT = "Right answers in percent, several a recording. Each"
 MEASURED: dict[LeftOut, str] = {
-    "participants": "Right answers in percent, several a recording. Each participant is answered by a model "
-    "adapted to the others: this is how well it will do on people it was not adapted to.",
-    "recordings": "Right answers in percent, several a recording. Each recording is answered by a model "
-    "adapted to others of the same participant: this is how well it will do on this person.",
+    "participants": f"{RIGHT} participant is answered by a model adapted to the others: this is how well it "
+    "will do on people it was not adapted to.",
+    "recordings": f"{RIGHT} recording is answered by a model adapted to others of the same participant: this "
+    "is how well it will do on this person.",
     "nothing": "Adapted to all of them. No figures: there are too few recordings to hold any out.",
 }
 
@@ -29,27 +29,24 @@ def report_lines(adapted: Adapted, names: Mapping[str, str] = NO_NAMES) -> Itera
 
     names: what gestures are called; without one, as in the recordings.
     """
-    recordings = adapted.recordings
-    gestures = Counter(recording.gesture for recording in recordings)
-    participants = {recording.participant for recording in recordings}
-    new = [gesture for gesture in gestures if gesture not in adapted.known]
+    comparison, gestures = adapted.comparison, {recording.gesture for recording in adapted.recordings}
+    participants = {recording.participant for recording in adapted.recordings}
     yield (
-        f"{_count(len(recordings), 'recording')} of {_count(len(gestures), 'gesture')} "
+        f"{_count(len(adapted.recordings), 'recording')} of {_count(len(gestures), 'gesture')} "
         f"by {_count(len(participants), 'participant')}"
     )
-    if new:
-        yield f"New to the model: {_listed(sorted(new), names)}"
+    if new := sorted(gestures - {*adapted.known}):
+        yield f"New to the model: {_listed(new, names)}"
     for reason, number in adapted.passed_over.items():
         yield f"Passed over: {_count(number, 'saved touch', 'es')} {reason}"
-    comparison = adapted.comparison
     yield ""
     yield from textwrap.wrap(MEASURED[comparison.left_out], WIDTH)
     if comparison.lengths:
         yield from _table(comparison.lengths[-1], names)
         yield from map(_gain, comparison.lengths)
     yield ""
-    for warning in [_doubt(comparison), *_lacks(adapted, names)]:
-        yield from textwrap.wrap(f"! {warning}", WIDTH, subsequent_indent="  ") if warning else ()
+    for warning in filter(None, (_doubt(comparison), *_lacks(adapted, names))):
+        yield from textwrap.wrap(f"! {warning}", WIDTH, subsequent_indent="  ")
 
 
 def is_better(comparison: Comparison) -> bool:
@@ -60,10 +57,7 @@ def is_better(comparison: Comparison) -> bool:
 def _doubt(comparison: Comparison) -> str:
     """Return why adapting cannot be said to have helped; "" if it can."""
     if not comparison.lengths:
-        return (
-            "Too few recordings to leave any out: whether this is better than the shipped model cannot be "
-            "told."
-        )
+        return "Too few recordings to hold any out: whether this is better than the shipped model is unknown."
     interval = comparison.lengths[-1].interval
     if comparison.left_out == "participants" and comparison.participants < FEW_PARTICIPANTS:
         return f"Fewer than {FEW_PARTICIPANTS} participants: too few to tell whether others gain."
@@ -74,17 +68,18 @@ def _doubt(comparison: Comparison) -> str:
 
 def _lacks(adapted: Adapted, names: Mapping[str, str]) -> Iterable[str]:
     """Yield what the recordings do not show of a gesture."""
-    gestures = Counter(recording.gesture for recording in adapted.recordings)
+    done_by = Counter(
+        gesture for gesture, _ in {(each.gesture, each.participant) for each in adapted.recordings}
+    )
+    alone = sorted(gesture for gesture, people in done_by.items() if people == 1)
     if adapted.comparison.left_out == "recordings":
         yield "One participant: no figure for other people, for whom the model may have become worse."
-    people = {(recording.gesture, recording.participant) for recording in adapted.recordings}
-    alone = sorted(gesture for gesture, who in Counter(gesture for gesture, _ in people).items() if who == 1)
     if adapted.comparison.left_out == "participants" and alone:
         yield f"Only one participant did {_listed(alone, names)}: no figure for other people."
     if gone := sorted(set(adapted.known) - set(adapted.labels)):
         yield f"The new model no longer knows {_listed(gone, names)}: record them too, or give --keep-all."
     # Nobody need record what is none of the gestures.
-    if lacking := [label for label in adapted.labels if label not in gestures and label != OTHER]:
+    if lacking := sorted({*adapted.labels} - {*done_by, OTHER}):
         yield f"No recording of {_listed(lacking, names)}: known from other people and pads only."
 
 

@@ -71,12 +71,9 @@ def grafted(model: Path, head: nn.Sequential, metadata: ModelMetadata) -> onnx.M
     """Return a copy of a model file with an adapted head, which keeps the file's temperatures."""
     proto = onnx.load(model)
     values = {f"calibrated.network.dense.{name}": value for name, value in head.state_dict().items()}
-    for tensor in proto.graph.initializer:
-        value = values.pop(tensor.name, None)
-        if value is not None:
-            tensor.CopyFrom(onnx.numpy_helper.from_array(value.numpy(), tensor.name))
-    if values:
-        raise RuntimeError(f"{model} has no {', '.join(values)}")
+    tensors = {tensor.name: tensor for tensor in proto.graph.initializer}
+    for name, value in values.items():
+        tensors[name].CopyFrom(onnx.numpy_helper.from_array(value.numpy(), name))
     proto.graph.output[0].type.tensor_type.shape.dim[1].dim_value = len(metadata.labels)
     (entry,) = (entry for entry in proto.metadata_props if entry.key == METADATA_KEY)
     entry.value = msgspec.json.encode(metadata).decode()

@@ -424,7 +424,7 @@ def test_few_values_have_a_wide_interval(
 @pytest.mark.parametrize(
     ("participants", "each", "printed"),
     [
-        (("Ann",), 1, ["whether this is better than the shipped model cannot be told"]),
+        (("Ann",), 1, ["whether this is better than the shipped model is unknown"]),
         (
             ("Ann",),
             3,
@@ -606,12 +606,12 @@ def pat_and(gesture: str) -> Make:
     ("make", "message"),
     [
         (lambda folder: None, "cannot be read (No such file or directory)"),
-        (kept(), "holds no recordings; make some with `touchd record"),
+        (kept(), "holds no recordings, and telling apart takes two gestures; make some with `touchd record"),
         (
             lambda folder: (keep(folder, []) / "a.csv.gz").write_bytes(b"not gzip"),
             "a.csv.gz: cannot be read as a recording",
         ),
-        (kept(*simulated(("A",), 2, ("pat",))), "nothing but pat; telling apart takes two"),
+        (kept(*simulated(("A",), 2, ("pat",))), "holds nothing but pat, and telling apart takes two"),
         (kept(*simulated(("A",), 2, ("notouch",))), "nothing but notouch"),
         (pat_and("high five"), "'high five' cannot name a gesture"),
         (pat_and(""), "'' cannot name a gesture"),
