@@ -84,6 +84,7 @@ def small(system: System) -> System:
     return dataclasses.replace(system, most_epochs=3)
 
 
+QUICK = ("ta-forest", "ta-svm", "gaus-boosting")
 TRAINED = [system for system in SYSTEMS if not isinstance(system, Shipped)]
 
 
@@ -98,32 +99,16 @@ def _small_trainings(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize(
     "system",
-    [
-        pytest.param(each, marks=[pytest.mark.slow] * (each.key not in ("gaus-forest", "gaus-boosting")))
-        for each in TRAINED
-    ],
+    [pytest.param(each, marks=[pytest.mark.slow] * (each.key not in QUICK)) for each in TRAINED],
     ids=lambda system: system.key,
 )
-def test_settings_are_chosen_without_the_test_file(system: System) -> None:
+def test_a_system_learns_reproducibly_and_chooses_without_the_test_file(system: System) -> None:
     chosen = small(system).choose(MadeUp(with_test=False))
-    assert chosen["settings"]
     assert 0.0 <= chosen["left_out_accuracy"] <= 1.0
-
-
-@pytest.mark.parametrize(
-    "system",
-    [pytest.param(each, marks=[pytest.mark.slow] * isinstance(each, DeepSystem)) for each in TRAINED],
-    ids=lambda system: system.key,
-)
-def test_a_system_learns_reproducibly(system: System) -> None:
+    settings = {"epochs": 12} if isinstance(system, DeepSystem) else chosen["settings"]
     data = MadeUp()
-    settings: dict[str, Any] = {"features": [0, 1, 6, 7]}
-    if isinstance(system, DeepSystem):
-        settings = {"epochs": 12}
-    elif isinstance(system, HandMade) and not isinstance(system, Searched):
-        settings = system.options[-1]
     with one_torch_thread():
-        named, again = (system.train(data, settings, 1)(54) for _ in range(2))
+        named, again = (small(system).train(data, settings, 1)(54) for _ in range(2))
     assert named.tolist() == again.tolist()
     assert table.scores(named, haart.cut(data.test, 54).labels)["accuracy"] > 0.9
 

@@ -126,23 +126,13 @@ def test_the_printed_block_is_the_encoder_block_of_pytorch() -> None:
     torch.manual_seed(0)
     attention, forward = Attention(32, 4, 0.1).eval(), FeedForward(32, 64, 0.1).eval()
     theirs = nn.TransformerEncoderLayer(32, 4, 64, dropout=0.1, batch_first=True).eval()
-    query_key_value = (attention.query, attention.key, attention.value)
-    theirs.load_state_dict(
-        {
-            "self_attn.in_proj_weight": torch.cat([layer.weight for layer in query_key_value]),
-            "self_attn.in_proj_bias": torch.cat([layer.bias for layer in query_key_value]),
-            "self_attn.out_proj.weight": attention.project.weight,
-            "self_attn.out_proj.bias": attention.project.bias,
-            "linear1.weight": forward.layers[0].weight,
-            "linear1.bias": forward.layers[0].bias,
-            "linear2.weight": forward.layers[2].weight,
-            "linear2.bias": forward.layers[2].bias,
-            "norm1.weight": attention.norm.weight,
-            "norm1.bias": attention.norm.bias,
-            "norm2.weight": forward.norm.weight,
-            "norm2.bias": forward.norm.bias,
-        }
-    )
+    together = nn.Linear(32, 96)
+    for name in ("weight", "bias"):
+        parts = [getattr(layer, name) for layer in (attention.query, attention.key, attention.value)]
+        setattr(together, name, nn.Parameter(torch.cat(parts)))
+    layers = (together, attention.project, forward.layers[0], forward.layers[2], attention.norm, forward.norm)
+    ours = [getattr(layer, name) for layer in layers for name in ("weight", "bias")]
+    theirs.load_state_dict(dict(zip(theirs.state_dict(), ours, strict=True)))
     x = torch.randn(2, 9, 32)
     with torch.no_grad():
         torch.testing.assert_close(forward(attention(x)), theirs(x), rtol=1e-5, atol=1e-5)

@@ -9,7 +9,6 @@ import json
 import platform
 import sys
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
 
@@ -45,33 +44,10 @@ NEAR = {81: 72}
 """For each of our lengths that the paper does not report, the nearest one that it does."""
 
 
-@dataclass(frozen=True)
-class Further:
-    """A study besides HAART; its recordings are not public.
-
-    folder: its field in `Folders`, and its option. missing: gestures that it does not contain.
-    """
-
-    study: Study
-    folder: str
-    adds: str
-    missing: tuple[str, ...] = ()
-
-    def path(self, folders: Folders) -> Path:
-        """Return the folder of its recordings."""
-        path: Path = getattr(folders, self.folder)
-        return path
-
-    @property
-    def option(self) -> str:
-        """The option that names the folder."""
-        return f"--{self.folder.replace('_', '-')}"
-
-
-FURTHER = (
-    Further("second", "second_study", "people who touch the pad around a robot, still or breathing"),
-    Further("third", "third_study", "another kind of pad", MISSING["third"]),
+FURTHER: Mapping[Study, str] = MappingProxyType(
+    {"second": "people who touch the pad around a robot, still or breathing", "third": "another kind of pad"}
 )
+"""The studies besides HAART, whose recordings are not public, and what each adds."""
 
 
 class MissingStudyError(TouchdError):
@@ -97,7 +73,7 @@ class Scores(msgspec.Struct, frozen=True, kw_only=True):
 def show(folders: Folders, weights: Path) -> None:
     """Print accuracies at the answered lengths, the paper's too, for the studies whose recordings exist."""
     columns = "".join(f"{length / FRAME_RATE_HZ:8.2f} s" for length in LENGTHS)
-    for key, split, missing in _splits(folders, weights):
+    for key, split, missing in splits(folders, weights):
         if key == "test":
             _print(f"Macro accuracy in percent, after{'':6}{columns}")
         live = [(classifier, haart.realigned(recordings)) for classifier, recordings in split]
@@ -105,21 +81,21 @@ def show(folders: Folders, weights: Path) -> None:
         _print(_row(TITLES[key], [100 * row.accuracy for row in rows]))
         if key == "test":
             _print(_row(PAPER, [TABLE3[NEAR.get(length, length)] for length in LENGTHS]))
-    for further in _not_there(folders):
-        _print(f"{further.study} study: not scored; name its folder with {further.option}.")
-        _print(f"  It adds {further.adds}.")
+    for study in _not_there(folders):
+        _print(f"{study} study: not scored; name its folder with --{study}-study.")
+        _print(f"  It adds {FURTHER[study]}.")
 
 
 def write(folders: Folders, weights: Path) -> Path:
     """Score everything and write scores.json; raises MissingStudyError unless all recordings exist."""
-    for further in _not_there(folders):
+    for study in _not_there(folders):
         raise MissingStudyError(
-            f"{further.path(folders)}: no such folder; {SCORES_NAME} needs all studies: {further.option}"
+            f"{_folder(folders, study)}: no such folder; {SCORES_NAME} needs all studies: --{study}-study"
         )
     model = weights / SHIPPED_MODEL.name
     classifier = Classifier.load(model)
     evaluations = {}
-    for key, split, missing in _splits(folders, weights):
+    for key, split, missing in splits(folders, weights):
         with Console(stderr=True).status(f"scoring {TITLES[key]}, some minutes"):
             evaluations[key] = evaluate(split, missing)
     scores = Scores(
@@ -146,24 +122,26 @@ def write_scores(scores: Scores, path: Path) -> None:
     path.write_bytes(msgspec.json.format(msgspec.json.encode(rounded), indent=1) + b"\n")
 
 
-def _splits(folders: Folders, weights: Path) -> Iterator[tuple[str, Split, tuple[str, ...]]]:
+def splits(folders: Folders, weights: Path) -> Iterator[tuple[str, Split, tuple[str, ...]]]:
     """Yield the sets of people that can be scored: key, networks with recordings, gestures they lack."""
     shipped = Classifier.load(weights / SHIPPED_MODEL.name)
     yield "test", [(shipped, haart.read_test(folders.haart))], ()
     yield "left_out", left_out_split(weights, haart.read_training(folders.haart)), ()
-    for further in FURTHER:
-        if further.path(folders).is_dir():
-            recordings = folders.to_score_on((further.study,))[further.study]
-            yield further.folder, left_out_split(weights, recordings), further.missing
-            if further.study == "second":
-                yield "cross_study", [(Classifier.load(WIDE_MODEL), recordings)], further.missing
-            if further.study == "third":
-                yield "new_pad", [(Classifier.load(FABRIC_MODEL), recordings)], further.missing
+    for study in FURTHER:
+        if study not in _not_there(folders):
+            recordings, missing = folders.to_score_on((study,))[study], MISSING.get(study, ())
+            yield f"{study}_study", left_out_split(weights, recordings), missing
+            key, other = ("cross_study", WIDE_MODEL) if study == "second" else ("new_pad", FABRIC_MODEL)
+            yield key, [(Classifier.load(other), recordings)], missing
 
 
-def _not_there(folders: Folders) -> list[Further]:
+def _folder(folders: Folders, study: Study) -> Path:
+    return folders.second_study if study == "second" else folders.third_study
+
+
+def _not_there(folders: Folders) -> list[Study]:
     """Return the studies whose recordings do not exist."""
-    return [further for further in FURTHER if not further.path(folders).is_dir()]
+    return [study for study in FURTHER if not _folder(folders, study).is_dir()]
 
 
 def _progress(title: str) -> Iterator[int]:
