@@ -51,7 +51,7 @@ TRAINING = (
     "test_paper.py",
 )
 # These share a browser, which takes a processor's seconds to start.
-BROWSING = ("test_live_page.py", "test_live_touch.py", "test_live_label.py")
+BROWSING = ("test_live_page.py", "test_live_touch.py")
 # The slowest files, slowest first: if they started last, one worker would finish late.
 LONGEST = (
     *BROWSING,

@@ -28,6 +28,7 @@ from touchd.daemon.app.config import LiveSettings, PadSettings, Settings, Words
 from touchd.daemon.live import server
 from touchd.daemon.path.events import (
     Event,
+    Label,
     Prediction,
     RobotAction,
     RobotEvent,
@@ -94,11 +95,11 @@ def text_of(chrome: Chrome, selector: str) -> str:
     return texts_of(chrome, selector)[0]
 
 
-def lefts_and_rights(chrome: Chrome, selector: str) -> NDArray[np.float64]:
+def sides(chrome: Chrome, selector: str) -> NDArray[np.float64]:
     """Return where N elements begin and end from left to right, (N, 2)."""
-    sides = """return [...document.querySelectorAll(arguments[0])]
-                 .map(one => one.getBoundingClientRect()).map(box => [box.left, box.right])"""
-    return np.array(chrome.execute_script(sides, selector))
+    script = """return [...document.querySelectorAll(arguments[0])]
+                  .map(one => one.getBoundingClientRect()).map(box => [box.left, box.right])"""
+    return np.array(chrome.execute_script(script, selector))
 
 
 def listed(chrome: Chrome) -> list[str]:
@@ -241,11 +242,9 @@ def test_the_page_follows_the_browsers_settings(played: WatchedPage) -> None:
 def test_text_at_double_size_stays_visible(played: WatchedPage) -> None:
     played.chrome.execute_cdp_cmd("Page.setFontSizes", {"fontSizes": {"standard": 32}})
     try:
-        size = "return parseFloat(getComputedStyle(document.body).fontSize)"
-        wait_for(lambda: played.run(size) >= 32)
-        sides = """return [...document.querySelectorAll('#gesture, #bars li *, #flags li, #vitals div')]
-                     .map(one => one.getBoundingClientRect()).flatMap(box => [box.left, box.right])"""
-        wait_for(lambda: min(played.run(sides)) >= 0 and max(played.run(sides)) <= 1280)
+        wait_for(lambda: played.run("return parseFloat(getComputedStyle(document.body).fontSize)") >= 32)
+        shown = "#gesture, #bars li *, #flags li, #vitals div"
+        wait_for(lambda: ((sides(played.chrome, shown) >= 0) & (sides(played.chrome, shown) <= 1280)).all())
     finally:
         played.chrome.execute_cdp_cmd("Page.setFontSizes", {"fontSizes": {"standard": 16}})
 
@@ -440,11 +439,11 @@ def test_a_guess_stands_at_its_moment(chrome: Chrome) -> None:
             guess = {"touch": number, "perhaps": "scratch", "elapsed_s": said_s - 0.56, "age_ms": 560.0}
             served.sink.put(replace(GUESS, **guess))
             served.put_frame()
-            for size in ((1600, 900), (844, 390), (390, 844)):
+            for size in ((1600, 900), (390, 844)):
                 show_in(chrome, *size)
                 wait_for(lambda number=number: text_of(chrome, "#which") == f"Touch {number}")
-                ((left, right),) = wait_for(lambda: lefts_and_rights(chrome, "#flags li").tolist())
-                ((first, last),) = lefts_and_rights(chrome, "#flags")
+                ((left, right),) = wait_for(lambda: sides(chrome, "#flags li").tolist())
+                ((first, last),) = sides(chrome, "#flags")
                 at = first + said_s / LINE_S * (last - first)
                 assert at == pytest.approx(left, abs=1) or at == pytest.approx(right, abs=1)
                 assert first <= left + 1
@@ -514,6 +513,37 @@ def test_another_pad_can_be_selected(chrome: Chrome) -> None:
         wait_for(lambda: choices()[0] == ("head: rub", "false"))
         assert text_of(chrome, "#gesture") == "stroke"
         assert chrome.execute_script("return document.documentElement.scrollWidth <= innerWidth")
+
+
+def test_buttons_say_what_the_last_or_a_listed_touch_was(
+    chrome: Chrome, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Without frames, events are shown with the next status.
+    monkeypatch.setattr(server, "STATUS_EVERY_S", 0.05)
+    rows = (
+        "return [...document.querySelectorAll('#touches li')].map((row) => /= (.*)/.exec(row.innerText)?.[1])"
+    )
+
+    def press(gesture: str) -> None:
+        buttons = chrome.find_elements(By.CSS_SELECTOR, "#labels button")
+        next(button for button in buttons if button.text == gesture).click()
+
+    touches = [replace(event, touch=number) for number in (1, 2) for event in (BEGAN, ANSWER, ENDED)]
+    with showing(chrome, *touches, label=True) as served:
+        wait_for(lambda: chrome.execute_script(rows) == [None, None])
+        # Rows are made again whenever an event arrives.
+        chrome.execute_script("document.querySelector('#touches li + li button').click()")
+        wait_for(lambda: text_of(chrome, "#labels legend") == "Touch 1 was")
+        press("rub")
+        wait_for(lambda: chrome.execute_script(rows) == [None, "rub"])
+        # The next label is the last touch's again.
+        assert text_of(chrome, "#labels legend") == "That was"
+        press("stroke")
+        wait_for(lambda: chrome.execute_script(rows) == ["stroke", "rub"])
+        labels = [event for event in served.labels if isinstance(event, Label)]
+        assert [(label.touch, label.gesture) for label in labels] == [(1, "rub"), (2, "stroke")]
+        chrome.refresh()
+        wait_for(lambda: texts_of(chrome, "#labels button[aria-pressed=true]") == ["stroke"])
 
 
 @pytest.mark.slow

@@ -15,6 +15,8 @@ from websockets.sync.client import ClientConnection, connect
 from touchd.daemon.app.config import LiveSettings, Settings
 from touchd.daemon.commands.settings import load_model
 from touchd.daemon.live.server import encode_frame, open_live_page
+from touchd.daemon.path.events import Event
+from touchd.daemon.sinks.labels import Labeller
 from touchd.drivers.frame import DEFAULT_PAD, Counts, Frame
 from touchd.model.classifier import Classifier
 
@@ -25,15 +27,24 @@ HANDSHAKE = (
 
 
 class Served:
-    """A page served in this process, and frames to show on it."""
+    """A page served in this process, and frames to show on it.
 
-    def __init__(self, classifier: Classifier, **settings: Any) -> None:
-        made = Settings(live=LiveSettings(port=0), **settings)
+    label: whether viewers may label touches. labels: those that they have given.
+    """
+
+    def __init__(self, classifier: Classifier, *, label: bool = False, **settings: Any) -> None:
+        made = Settings(live=LiveSettings(port=0, label=label), **settings)
         self.models = dict.fromkeys(made.pads, classifier)
-        self.sink = open_live_page(made, self.models)
+        self.labels: list[Event] = []
+        labeller = Labeller(self._take, dict.fromkeys(made.pads, classifier.labels), are_kept=True)
+        self.sink = open_live_page(made, self.models, labeller if label else None)
         self.sink.start()
         self.port = self.sink.listening.getsockname()[1]
         self._frames = 0
+
+    def _take(self, label: Event) -> None:
+        self.labels.append(label)
+        self.sink.put(label)
 
     @contextmanager
     def look(self, **options: Any) -> Iterator[ClientConnection]:
