@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from rich.console import Console
 from rigs.made_pad import MadePad, Scans, nothing, palm
-from rigs.small_disk import log_on_small_disk, needs_small_disk
 
 from touchd.daemon.app import cli
 from touchd.daemon.app.config import SensorSettings, Settings
@@ -77,12 +76,6 @@ def test_a_folder_that_cannot_be_written_is_reported_first(tmp_path: Path) -> No
     assert list((tmp_path / "new" / "folder").iterdir()) == []
 
 
-@needs_small_disk
-def test_a_recording_on_a_full_disk_leaves_nothing(tmp_path: Path) -> None:
-    told = log_on_small_disk(tmp_path, 40, FILL)
-    assert told == ["x.csv.gz: cannot be written (No space left on device)", "['filler']", "kept x.csv.gz"]
-
-
 def test_a_recording_waits_until_the_disk_has_room(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, classifier: Classifier
 ) -> None:
@@ -100,25 +93,6 @@ def test_a_recording_waits_until_the_disk_has_room(
     guide._keep(take, captured(1.0, range(0, 54 * 20, 20)))
     assert "not kept yet" in said.getvalue()
     assert len(read_recordings(take.path)) == 1
-
-
-FILL = """
-import sys
-from pathlib import Path
-from touchd.model.studies.simulated import simulate
-from touchd.drivers.recording import RecordingError, write_recordings
-folder = Path(sys.argv[1])
-(recording,) = simulate((("pat", 0.5),), seed=1)
-(folder / "filler").write_bytes(bytes(40 * 1024))
-try:
-    write_recordings(folder / "x.csv.gz", [recording], {})
-except RecordingError as error:
-    print(str(error).replace(f"{folder}/", ""), file=sys.stderr)
-print([path.name for path in folder.iterdir()], file=sys.stderr)
-(folder / "filler").unlink()
-write_recordings(folder / "x.csv.gz", [recording], {})
-print(*(f"kept {path.name}" for path in folder.iterdir()), file=sys.stderr)
-"""
 
 
 def captured(touched_share: float, clock_ms: Iterable[int] = range(0, 1900, 19)) -> Capture:
