@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -266,17 +267,14 @@ def test_other_paths_and_requests_are_refused(served: Served) -> None:
     assert served.ask("/").status == 200
 
 
-@pytest.mark.parametrize("path", ["/", "/stream"])
-def test_a_foreign_host_name_is_refused(served: Served, path: str) -> None:
-    answer = served.ask(path, Host=f"evil.example:{served.port}")
-    assert answer.status == 403
-    assert "live:\n    host: NAME" in answer.read().decode()
-
-
-@pytest.mark.parametrize("origin", ["http://evil.example", "null", "http://127.0.0.1:1"])
-def test_a_foreign_origin_gets_no_stream(served: Served, origin: str) -> None:
-    with pytest.raises(InvalidStatus, match="403"), served.look(origin=origin):
-        pass
+def test_a_foreign_host_name_or_origin_is_refused(served: Served) -> None:
+    for path in ("/", "/stream"):
+        answer = served.ask(path, Host=f"evil.example:{served.port}")
+        assert answer.status == 403
+        assert "live:\n    host: NAME" in answer.read().decode()
+    for origin in ("http://evil.example", "null", "http://127.0.0.1:1"):
+        with pytest.raises(InvalidStatus, match="403"), served.look(origin=origin):
+            pass
     with served.look(origin=f"http://127.0.0.1:{served.port}") as viewer:
         viewer.recv(timeout=WITHIN_S)
 
@@ -310,14 +308,6 @@ def test_what_is_not_a_label_is_refused(message: str, headers: dict[str, str], w
         assert served.labels == []
 
 
-class Viewer:
-    """A viewer's connection, as far as the page looks at it."""
-
-    def __init__(self, address: str, host: str) -> None:
-        self.remote_address = (address, 40000)
-        self.request = Request("/stream", Headers({"Host": host}))
-
-
 @pytest.mark.parametrize(
     ("address", "host", "is_ours"),
     [
@@ -335,7 +325,8 @@ class Viewer:
     ],
 )
 def test_nobody_but_this_computer_may_label(address: str, host: str, is_ours: bool) -> None:
-    viewer: Any = Viewer(address, host)
+    request = Request("/stream", Headers({"Host": host}))
+    viewer: Any = SimpleNamespace(remote_address=(address, 40000), request=request)
     assert is_here(viewer) == is_ours
 
 
@@ -359,22 +350,24 @@ def test_own_host_names_and_addresses_are_recognised(host: str, is_own: bool) ->
     assert is_own_host(host, frozenset({"localhost", "robot.lab"})) is is_own
 
 
+CONFIGURED = LiveSettings(host="10.0.0.1", port=99)
+
+
 @pytest.mark.parametrize(
-    ("text", "host", "port"),
+    ("text", "configured", "host", "port"),
     [
-        ("", "10.0.0.1", 99),
-        ("8080", "10.0.0.1", 8080),
-        (":8080", "10.0.0.1", 8080),
-        ("0.0.0.0:8080", "0.0.0.0", 8080),
-        ("[::1]:8080", "::1", 8080),
+        ("", None, "127.0.0.1", 8054),
+        ("", CONFIGURED, "10.0.0.1", 99),
+        ("8080", CONFIGURED, "10.0.0.1", 8080),
+        (":8080", CONFIGURED, "10.0.0.1", 8080),
+        ("0.0.0.0:8080", CONFIGURED, "0.0.0.0", 8080),
+        ("[::1]:8080", CONFIGURED, "::1", 8080),
     ],
 )
-def test_missing_parts_of_an_address_come_from_the_configuration(text: str, host: str, port: int) -> None:
-    assert parse_address(text, LiveSettings(host="10.0.0.1", port=99)) == LiveSettings(host=host, port=port)
-
-
-def test_by_default_only_this_computer_sees_the_page() -> None:
-    assert parse_address("", None) == LiveSettings(host="127.0.0.1", port=8054)
+def test_missing_parts_of_an_address_are_as_configured(
+    text: str, configured: LiveSettings | None, host: str, port: int
+) -> None:
+    assert parse_address(text, configured) == LiveSettings(host=host, port=port)
 
 
 @pytest.mark.parametrize(

@@ -268,7 +268,7 @@ def test_the_visitors_view_hides_the_vitals(played: WatchedPage) -> None:
 
 BEGAN = TouchBegan(touch=1, time=TIME, sensor_ms=0)
 ENDED = TouchEnded(touch=1, gesture="uncertain", frames=150, reason="released", time=TIME)
-ROBOT = {"robot": RobotSettings(url="tcp://127.0.0.1:1")}
+ROBOT: dict[str, Any] = {"robot": RobotSettings(url="tcp://127.0.0.1:1")}
 ANSWER = replace(PREDICTION, touch=1)
 CLOSE = {"pat": 0.45, "rub": 0.5, "stroke": 0.05}
 STANDS = replace(ANSWER, stage="final", gesture="pat", confidence=0.45, probabilities=CLOSE)
@@ -374,37 +374,27 @@ PROBLEMS = """
 """
 
 
-def put_a_touch(served: Served, gestures: list[str], number: int = 1) -> None:
-    """Put the first 2.67 s of a touch, with these answers at the marks; it does not end."""
-    rest, hand = np.zeros((8, 8), np.uint16), np.zeros((8, 8), np.uint16)
-    hand[2:5, 3:6] = 80
-    for _ in range(60):
-        first = served.put_frame(rest)
-    served.sink.put(TouchBegan(touch=number, time=TIME, sensor_ms=int.from_bytes(first[:4], "little")))
-    for column in np.linspace(-2, 2, 144).round().astype(int):
-        served.put_frame(np.roll(hand, column, axis=1))
-    for stage, frames, gesture in zip(("early", "revised", "final"), (54, 81, 144), gestures, strict=True):
-        served.sink.put(
-            replace(
-                PREDICTION, touch=number, stage=stage, frames=frames, elapsed_s=frames / 54, gesture=gesture
-            )
-        )
-    served.put_frame(hand)
-
-
 @pytest.fixture
 def worded(chrome: Chrome, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
-    """A page with a robot and the longest words, at the end of a touch."""
+    """A page with a robot and the longest words, after the first 2.67 s of a touch that goes on."""
     # Without a viewer, events are shown with the next status.
     monkeypatch.setattr(server, "STATUS_EVERY_S", 0.05)
     words = {gesture: Words(name=f"⟨{word}⟩", phrase=word) for gesture, word in LONG_WORDS.items()}
-    with serving(words=words, robot=RobotSettings(url="tcp://127.0.0.1:1")) as served:
-        served.sink.put(SensorEvent(state="up", time=TIME))
-        served.sink.put(RobotEvent(state="up", time=TIME))
-        put_a_touch(served, ["stroke", "rub", "tickle"])
+    hand = np.zeros((8, 8), np.uint16)
+    hand[2:5, 3:6] = 80
+    with serving(words=words, **ROBOT) as served:
+        for _ in range(60):
+            first = served.put_frame(np.zeros((8, 8), np.uint16))
+        events: list[Event] = [SensorEvent(state="up", time=TIME), RobotEvent(state="up", time=TIME)]
+        events.append(replace(BEGAN, sensor_ms=int.from_bytes(first[:4], "little")))
+        for column in np.linspace(-2, 2, 144).round().astype(int):
+            served.put_frame(np.roll(hand, column, axis=1))
+        for frames, gesture in ((54, "stroke"), (81, "rub"), (144, "tickle")):
+            events.append(replace(ANSWER, frames=frames, elapsed_s=frames / 54, gesture=gesture))
         said = f"Oh, das ist doch {LONG_WORDS['tickle']}! Das kenne ich gut."
-        served.sink.put(RobotAction(touch=1, action="say", what=said, time=TIME))
-        served.put_frame()
+        for event in (*events, replace(SAYS, what=said)):
+            served.sink.put(event)
+        served.put_frame(hand)
         yield served
         show_in(chrome, 1280, 800)
         prefer(chrome)

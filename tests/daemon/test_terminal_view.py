@@ -98,13 +98,11 @@ def test_the_view_fills_the_terminal_exactly(size: tuple[int, int], colours: str
 
 
 def test_only_the_frames_of_the_shown_pad_are_shown() -> None:
-    view, console = view_of(80, 24, "truecolor")
+    view, console = view_of(80, 24)
 
-    def after_a_frame(counts: int, pad: str) -> str:
+    def after_a_frame(counts: int, pad: str) -> list[str]:
         view.put_frame(Frame(0, 0.0, np.full((8, 8), counts, np.uint16)), 0, pad)
-        with console.capture() as shown:
-            console.print(view)
-        return shown.get()
+        return screen(view, console)
 
     at_rest = after_a_frame(0, DEFAULT_PAD)
     assert after_a_frame(90, "arm") == at_rest
@@ -116,21 +114,10 @@ def test_nothing_is_lost_at_the_usual_sizes(size: tuple[int, int]) -> None:
     view, console = view_of(*size)
     touch(view)
     shown = "\n".join(screen(view, console))
-    for text in (
-        "http://127.0.0.1:8054/",
-        "pad up",
-        "robot up",
-        "Touch 7 · 2.9 s",
-        "81% sure, after 2.67 s",
-        "↻ was pat · told after 2.67 s",
-        "pat 81% ✓",
-        "↻ stroke 81% ✓",
-        "still hand",
-        "tickle",
-        "2.67 s",
-        "“Oh, it is a stroke!”",
-        "Last touches",
-    ):
+    texts = """http://127.0.0.1:8054/, pad up, robot up, Touch 7 · 2.9 s, 81% sure, after 2.67 s,
+      ↻ was pat · told after 2.67 s, pat 81% ✓, ↻ stroke 81% ✓, still hand, tickle,
+      “Oh, it is a stroke!”, Last touches"""
+    for text in re.split(r",\s+", texts):
         assert text in shown, text
 
 
