@@ -22,7 +22,7 @@ class Audit:
     """
 
     def __init__(self, oldest_ms: float = math.inf) -> None:
-        self.touches = self.predictions = self.events = 0
+        self.touches = 0
         self.wrong: deque[str] = deque(maxlen=20)
         self._oldest_ms = oldest_ms
         self._answers: list[Prediction] | None = None
@@ -35,7 +35,6 @@ class Audit:
 
     def see(self, event: Event) -> None:
         """Take the next event."""
-        self.events += 1
         match event:
             case TouchBegan():
                 self._expect(not self.is_open and event.touch == self.touches + 1, event)
@@ -45,7 +44,6 @@ class Audit:
                 self._expect(self.is_open and event.touch == self.touches, event)
                 self._check_answer(event, self._answers[-1] if self._answers else None)
                 self._answers = [*(self._answers or []), event]
-                self.predictions += 1
             case TouchEnded():
                 stages = [answer.stage for answer in self._answers or []]
                 self._expect(event.touch == self.touches and self.is_open, event)
