@@ -201,7 +201,7 @@ def test_a_mistake_in_one_of_several_pads_names_it(tmp_path: Path, text: str, me
         load(path)
 
 
-def test_two_names_of_one_device_are_refused_as_the_file_is_read(tmp_path: Path) -> None:
+def test_two_names_of_one_device_are_refused_when_read(tmp_path: Path) -> None:
     device, link = tmp_path / "ttyACM0", tmp_path / "touchd-pad"
     device.touch()
     link.symlink_to(device)

@@ -183,7 +183,7 @@ def test_a_hand_that_comes_back_goes_on_with_its_touch() -> None:
     assert told(events) == [("released", "stroke")]
 
 
-def test_a_hand_that_left_long_ago_is_not_answered_at_once() -> None:
+def test_a_hand_that_left_long_ago_has_no_early_answer() -> None:
     bench = Bench()
     bench.now_s += 500.0
     assert predictions(bench.feel(palm(0.5), nothing(0.4))) == []
@@ -205,9 +205,7 @@ def test_without_a_touch_the_model_gets_no_frames() -> None:
 @pytest.mark.parametrize(
     ("scans", "answered_at"), [([palm(4.0)], [54, 81, 144]), ([palm(0.5), nothing(14 / 54)], [27 + 13])]
 )
-def test_the_model_has_all_but_one_frame_when_an_answer_is_due(
-    scans: list[Scans], answered_at: list[int]
-) -> None:
+def test_one_frame_is_left_for_the_model_at_an_answer(scans: list[Scans], answered_at: list[int]) -> None:
     bench = Bench()
     bench.feel(*scans)
     lengths = [0, *(len(window) for window in bench.model.stepped)]
@@ -253,9 +251,7 @@ def read_as_it_comes(scans: Counts, *, together: bool, **settings: Any) -> list[
     ],
     ids=["a touch", "short touches", "pats", "when sure"],
 )
-def test_events_do_not_depend_on_how_many_frames_come_at_once(
-    pressures: list[Scans], settings: dict[str, Any]
-) -> None:
+def test_events_are_those_of_frames_read_one_by_one(pressures: list[Scans], settings: dict[str, Any]) -> None:
     scans = MadePad().counts(np.concatenate([nothing(12.0), *pressures]))
     one_by_one, at_once = (read_as_it_comes(scans, together=each, **settings) for each in (False, True))
     assert [event for event, _ in at_once] == [event for event, _ in one_by_one]
@@ -264,7 +260,7 @@ def test_events_do_not_depend_on_how_many_frames_come_at_once(
         assert late_s <= (2 * PERIOD_S if isinstance(event, Prediction) else 0.06), event
 
 
-def test_frames_are_read_one_by_one_only_where_an_answer_may_be_due() -> None:
+def test_frames_are_read_singly_only_where_answers_are_due() -> None:
     bench = Bench()
     bench.feel(nothing(10.0))
     assert bench.pipeline.frames_together == 3
@@ -283,7 +279,7 @@ class WithoutNoTouch(Scripted):
         return np.array([0.95 if label == "stroke" else 0.01 for label in self.labels])
 
 
-def test_a_model_without_notouch_names_touches_and_is_not_asked_at_rest() -> None:
+def test_a_model_without_notouch_names_touches_alone() -> None:
     bench = Bench(WithoutNoTouch())
     assert bench.feel(nothing(3.0)) == []
     assert bench.model.asked == bench.model.stepped == []
@@ -383,7 +379,7 @@ def test_a_lasting_change_of_gesture_is_told() -> None:
 
 
 @pytest.mark.parametrize(("falls_to", "is_told"), [(0.3, False), (0.8, True)], ids=["leaves", "eases"])
-def test_a_hand_that_leaves_a_soft_pad_has_not_changed_its_gesture(falls_to: float, is_told: bool) -> None:
+def test_a_hand_that_leaves_a_soft_pad_changes_no_gesture(falls_to: float, is_told: bool) -> None:
     bench = Bench(Scripted(lambda asked: "stroke" if asked <= 1 else "rub"))
     load = 60.0 * falls_to ** np.linspace(0, 2, 108, dtype=np.float32)[:, None, None]
     events = bench.feel(palm(2.9, 60.0, trembling=False), load * palm(2.0, 1.0, trembling=False))
@@ -418,7 +414,7 @@ def test_a_noisy_pad_is_reported_once(caplog: pytest.LogCaptureFixture) -> None:
     assert warning.startswith("light touches are not recognised: the pad is noisy")
 
 
-def test_a_state_of_the_pad_other_than_down_ends_no_touch() -> None:
+def test_no_state_of_the_pad_but_down_ends_a_touch() -> None:
     bench = Bench()
     bench.feel(palm(0.5))
     bench.pipeline.on_sensor_state(SensorState("up", "frames arrive"))
@@ -532,7 +528,7 @@ def test_a_returning_pad_is_calibrated_and_answered_again(clock_ms: int, away_s:
 
 
 @pytest.mark.parametrize("jump_ms", [-900, 100, 60_000])
-def test_what_a_pad_sent_before_it_went_has_no_part_in_later_touches(jump_ms: int) -> None:
+def test_a_returning_pads_older_frames_have_no_part_in_touches(jump_ms: int) -> None:
     def begins_after_ms(jump_ms: int) -> float:
         bench = Bench(detector=Detector.load())
         bench.feel(palm(2.0, 300.0))

@@ -131,7 +131,7 @@ def test_touches_are_counted(pad: TrackedPad, scans: list[Scans | float], touche
 
 
 @pytest.mark.parametrize(("counts", "within_frames"), [(60.0, 3), (12.0, 6)])
-def test_a_touch_is_found_soon_and_dated_to_its_first_frame(
+def test_a_touch_is_found_soon_and_dated_to_its_beginning(
     pad: TrackedPad, counts: float, within_frames: int
 ) -> None:
     began = pad.index
@@ -142,7 +142,7 @@ def test_a_touch_is_found_soon_and_dated_to_its_first_frame(
 
 
 @pytest.mark.parametrize("quiet_s", [0.1, 0.4, 0.8, 2.0])
-def test_a_touch_ends_after_its_quiet_time_at_its_last_contact(quiet_s: float) -> None:
+def test_a_touch_ends_quiet_s_after_its_last_contact(quiet_s: float) -> None:
     pad = TrackedPad(shipped(quiet_s=quiet_s))
     pad.feel(palm(2.0, 60.0))
     left = pad.index
@@ -166,9 +166,7 @@ def sees_a_hand(frames: Scans, rest: NDArray[np.float32]) -> float:
         pytest.param(False, [palm(2.0, 300.0), palm(3.0, 60.0, False)], TOUCH, id="a low load, still"),
     ],
 )
-def test_only_what_a_hand_left_ends_a_touch_though_it_looks_like_one(
-    is_finer: bool, scans: list[Scans], story: list[str]
-) -> None:
+def test_what_a_hand_left_ends_a_touch(is_finer: bool, scans: list[Scans], story: list[str]) -> None:
     pad = TrackedPad(TouchTracker(TouchSettings(), Detector.load(), sees_a_hand, is_finer=is_finer))
     assert pad.story(*scans) == story
 
@@ -195,7 +193,7 @@ def test_no_touch_lasts_longer_than_ten_minutes(pad: TrackedPad, monkeypatch: py
     assert pad.story(palm(1.0, 60.0))[:1] == ["longest"]
 
 
-def test_a_hand_at_the_start_counts_as_rest_until_it_leaves(pad: TrackedPad) -> None:
+def test_a_hand_at_the_start_is_rest_until_it_leaves(pad: TrackedPad) -> None:
     pad.tracker.forget("sensor")
     assert pad.story(palm(2.0, 30.0, trembling=False)) == []
     pad.feel(3.0)
@@ -264,7 +262,7 @@ def test_a_likely_hand_begins_a_touch_if_the_classifier_agrees(
     assert pad.story(*scans).count("began") == touches
 
 
-def test_the_classifier_ends_a_touch_that_is_doubtful_for_as_long_as_quiet() -> None:
+def test_the_classifier_ends_a_touch_in_doubt_after_quiet_s() -> None:
     asked: list[int] = []
 
     def sees_nobody(frames: Scans, rest: NDArray[np.float32]) -> float:

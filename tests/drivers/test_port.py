@@ -101,7 +101,7 @@ def test_system_errors_of_a_port_are_reported_in_words(
     assert (refused.value.kind, refused.value.number) == (kind, number)
 
 
-def test_an_address_that_does_not_answer_is_missing_whatever_the_error() -> None:
+def test_an_address_that_does_not_answer_is_missing() -> None:
     assert sensor_error("tcp://pad:4000", OSError(errno.EHOSTDOWN, "Host is down")).kind == "missing"
 
 

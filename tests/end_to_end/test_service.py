@@ -200,7 +200,7 @@ class MeetingSink:
         self._stopped.append(self)
 
 
-def test_the_robots_sink_stops_first_and_then_all_others_at_once() -> None:
+def test_the_robots_sink_stops_first_then_all_others_at_once() -> None:
     service = Service(Settings(sensor=SensorSettings(port="/dev/nobody")))
     stopped, others = list[MeetingSink](), threading.Barrier(3)
     sinks = [MeetingSink(stopped, others) for _ in range(4)]
