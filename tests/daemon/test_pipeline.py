@@ -2,7 +2,7 @@
 
 import itertools
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
@@ -25,7 +25,7 @@ from touchd.daemon.playback.stream import play
 from touchd.drivers.frame import MAX_COUNT, NO_TOUCH, Counts, Frame, SensorState
 from touchd.drivers.pad.grid import GridFrame
 from touchd.drivers.recording import Stream, ideal_clock_ms, read_recordings, splice
-from touchd.model.classifier import Classifier, ModelState
+from touchd.model.classifier import Classifier
 from touchd.model.detector import Detector
 from touchd.model.studies.simulated import simulate
 
@@ -270,17 +270,8 @@ def test_frames_are_read_singly_only_where_answers_are_due() -> None:
     assert bench.pipeline.frames_together == 1
 
 
-class WithoutNoTouch(Scripted):
-    """A model that was not trained on untouched pads."""
-
-    labels = tuple(label for label in LABELS if label != NO_TOUCH)
-
-    def answer(self) -> NDArray[np.float64]:
-        return np.array([0.95 if label == "stroke" else 0.01 for label in self.labels])
-
-
 def test_a_model_without_notouch_names_touches_alone() -> None:
-    bench = Bench(WithoutNoTouch())
+    bench = Bench(Scripted(labels=tuple(label for label in LABELS if label != NO_TOUCH)))
     assert bench.feel(nothing(3.0)) == []
     assert bench.model.asked == bench.model.stepped == []
     assert told(bench.feel(palm(3.5), nothing(2.0))) == [("early", "stroke")]
@@ -338,17 +329,17 @@ def test_touches_are_named_wherever_the_pad_rests(classifier: Classifier) -> Non
     assert finals(40) == finals(300) == ["stroke", "rub", "scratch", "pat"]
 
 
-class Growing(Scripted):
-    """Sure of a stroke, as much as `confidence`, once it has got `sure_from` frames."""
+class Saying(Scripted):
+    """A model that gives a gesture a confidence, both chosen by what it was asked so far."""
 
-    def __init__(self, sure_from: int, confidence: float) -> None:
+    def __init__(self, says: Callable[[Scripted], tuple[str, float]]) -> None:
         super().__init__()
-        self._sure_from, self._confidence = sure_from, confidence
+        self._says = says
 
     def answer(self) -> NDArray[np.float64]:
-        leader = "stroke" if len(self.stepped[-1]) >= self._sure_from else NO_TOUCH
-        rest = (1 - self._confidence) / 6
-        return np.array([self._confidence if label == leader else rest for label in LABELS])
+        gesture, confidence = self._says(self)
+        rest = (1 - confidence) / (len(LABELS) - 1)
+        return np.array([confidence if label == gesture else rest for label in LABELS])
 
 
 @pytest.mark.parametrize(
@@ -363,7 +354,8 @@ def test_a_sure_answer_comes_before_its_mark(
     sure_from: int, confidence: float, speak_above: float, early_at: int
 ) -> None:
     scene = DecisionSettings(early="when_sure", speak_above=speak_above)
-    answers = predictions(Bench(Growing(sure_from, confidence), decision=scene).feel(palm(3.0)))
+    model = Saying(lambda it: ("stroke" if len(it.stepped[-1]) >= sure_from else NO_TOUCH, confidence))
+    answers = predictions(Bench(model, decision=scene).feel(palm(3.0)))
     assert answered(answers) == [("early", early_at), REVISED, FINAL]
     assert [answer.told for answer in answers][:2] == [confidence >= speak_above, False]
     assert answers[0].elapsed_s == pytest.approx(early_at / 54, abs=1e-3)
@@ -386,21 +378,9 @@ def test_a_hand_that_leaves_a_soft_pad_changes_no_gesture(falls_to: float, is_to
     assert told(events) == [("early", "stroke"), ("ongoing", "rub")][: 1 + is_told]
 
 
-class Wavering(Scripted):
-    """Sure of a stroke up to the final answer; after it, every other window is a rub."""
-
-    def __init__(self) -> None:
-        super().__init__(lambda asked: "rub" if asked % 2 else "stroke")
-
-    def step(
-        self, frames: NDArray[np.float32], state: ModelState | None
-    ) -> tuple[NDArray[np.float64], ModelState]:
-        return Scripted().answer(), super().step(frames, state)[1]
-
-
 def test_a_gesture_in_one_window_alone_is_not_told() -> None:
-    bench = Bench(Wavering())
-    assert told(bench.feel(pat(8.0, counts=90.0), nothing(2.0))) == [("early", "stroke")]
+    bench = Bench(Scripted(lambda asked: "rub" if asked % 2 else "stroke"))
+    assert told(bench.feel(palm(8.0, counts=90.0), nothing(2.0))) == [("early", "stroke")]
     assert len(bench.model.asked) > 5
 
 
@@ -437,25 +417,14 @@ def test_a_touch_taken_for_notouch_ends_uncertain_and_untold() -> None:
         assert [end.gesture for end in ended(events)] == ["uncertain"]
 
 
-class Doubtful(Scripted):
-    """Unsure of a touch so far, and of its latest frames until it was asked about `sure_after` windows."""
-
-    def __init__(self, sure_after: int) -> None:
-        super().__init__(lambda asked: "stroke" if asked > sure_after else "rub")
-        self._sure_after = sure_after
-
-    def answer(self) -> NDArray[np.float64]:
-        sure = super().answer()
-        return sure if len(self.asked) > self._sure_after else np.sqrt(sure) / np.sqrt(sure).sum()
-
-
 @pytest.mark.parametrize(
     ("sure_after", "said"),
     [(1000, ["uncertain"]), (3, ["uncertain", "stroke"])],
     ids=["for ever", "for a second"],
 )
 def test_a_lasting_unsure_touch_is_uncertain_once(sure_after: int, said: list[str]) -> None:
-    bench = Bench(Doubtful(sure_after), decision=DecisionSettings(final_above=0.7))
+    model = Saying(lambda it: ("stroke", 0.94) if len(it.asked) > sure_after else ("rub", 0.6))
+    bench = Bench(model, decision=DecisionSettings(final_above=0.7))
     events = bench.feel(palm(6.0, counts=60.0), nothing(2.0))
     assert answered(events)[:3] == [EARLY, REVISED, ("uncertain", 144)]
     assert [gesture for _, gesture in told(events)] == said
@@ -543,12 +512,7 @@ def test_a_returning_pads_older_frames_have_no_part_in_touches(jump_ms: int) -> 
 
 @pytest.mark.parametrize(("late_s", "is_told"), [(2.9, True), (3.3, False), (5.0, False)])
 def test_a_revision_that_comes_too_late_is_not_told(late_s: float, is_told: bool) -> None:
-    class Turning(Scripted):
-        def answer(self) -> NDArray[np.float64]:
-            turned = len(self.stepped[-1]) > EARLY[1]
-            return np.array([0.94 if label == ("rub" if turned else "stroke") else 0.01 for label in LABELS])
-
-    bench = Bench(Turning())
+    bench = Bench(Saying(lambda it: ("rub" if len(it.stepped[-1]) > EARLY[1] else "stroke", 0.94)))
     assert told(bench.feel(palm(1.2))) == [("early", "stroke")]
     # The next frames were held up on their way.
     bench.now_s += late_s
