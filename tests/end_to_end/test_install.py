@@ -141,8 +141,8 @@ def test_an_unfit_system_is_refused_in_one_line(
     (tmp_path / program).write_text(f"#!/bin/sh\n{script.replace('{python}', sys.executable)}\n")
     (tmp_path / program).chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
-    python = [f"PYTHON={tmp_path}/python3"] if program == "python3" else []
-    assert said in make("install-program", *python, fails=True)
+    python = tmp_path / "python3" if program == "python3" else sys.executable
+    assert said in make("install-program", f"PYTHON={python}", fails=True)
     assert files_in(tmp_path) == {program}
 
 
