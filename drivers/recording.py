@@ -15,14 +15,15 @@ from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from itertools import groupby, islice, pairwise, takewhile
+from functools import partial
+from itertools import groupby, pairwise
 from pathlib import Path
 from typing import IO, Literal, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.drivers.errors import TouchdError, os_errors_as
+from touchd.drivers.errors import TouchdError, os_errors_as, reason
 from touchd.drivers.frame import CLOCK_MODULUS, COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS, Counts, Frame
 from touchd.drivers.pad.grid import Ring
 from touchd.drivers.whole_file import PRIVATE_MODE, whole_file, without_waiting
@@ -33,6 +34,7 @@ SUFFIXES = (".csv", ".csv.gz")
 SUFFIX = ".csv.gz"
 KEYS = ("participant", "substrate", "cover", "gesture")
 SEAM_ROWS = 2
+PERIOD_MS = round(1000.0 / FRAME_RATE_HZ)
 # Fewer steps do not show the usual one; a clock with longer steps does not count milliseconds.
 LEAST_STEPS, SLOWEST_STEP_MS = 4, 1000
 UNLABELLED = "unlabelled"
@@ -40,7 +42,6 @@ UNLABELLED = "unlabelled"
 # Five hours at 54 Hz, and many times the longest line of any layout: a file beyond that is not a recording.
 MOST_LINES = 1_000_000
 LONGEST_LINE = 4096
-MOST_RECORDINGS = 10_000
 Framing = Literal["published", "live"]
 Keys = tuple[str, str, str, str]
 
@@ -119,23 +120,7 @@ def read_recordings(path: Path, select: Selection = EVERYTHING) -> list[Recordin
     Raises RecordingError if the file is missing, has no known layout, or holds a value that no pad can send.
     """
     with _lines_of(path) as lines:
-        recordings = list(islice(_parse(path, lines, select), MOST_RECORDINGS + 1))
-    if len(recordings) > MOST_RECORDINGS:
-        raise RecordingError(f"{path}: more than {MOST_RECORDINGS} recordings; split the file")
-    return recordings
-
-
-def read_provenance(path: Path) -> dict[str, str]:
-    """Read the `# key: value` lines on top of a file in our own layout; raises RecordingError.
-
-    A file of another layout has none.
-    """
-    provenance: dict[str, str] = {}
-    with _lines_of(path) as lines:
-        for line in takewhile(lambda line: line.startswith("# "), lines):
-            key, _, value = line[2:].partition(": ")
-            provenance[key] = value.rstrip()
-    return provenance
+        return list(_parse(path, lines, select))
 
 
 def write_recordings(path: Path, recordings: Sequence[Recording], provenance: Mapping[str, str]) -> None:
@@ -183,10 +168,8 @@ def realign(recording: Recording) -> Recording:
     if recording.framing == "live":
         return recording
     if len(recording.counts) < 2:
-        raise RecordingError(
-            f"{recording.participant}, {recording.gesture}: one row alone holds no whole scan; the rows of a "
-            "recording stand together"
-        )
+        what = f"{recording.participant}, {recording.gesture}"
+        raise RecordingError(f"{what}: one row is no whole scan; the rows of a recording stand together")
     rows = recording.counts.reshape(-1, COLUMNS)
     counts = rows[SEAM_ROWS : SEAM_ROWS - ROWS].reshape(-1, ROWS, COLUMNS)
     return replace(recording, counts=counts, sensor_ms=recording.sensor_ms[: len(counts)], framing="live")
@@ -223,29 +206,19 @@ def splice(recordings: Sequence[Recording]) -> Stream:
         raise RecordingError("no recording to play: none matches what was selected")
     spans: list[Span] = []
     clocks: list[NDArray[np.int64]] = []
-    start = 0
-    next_ms = 0
-    period_ms = round(1000.0 / FRAME_RATE_HZ)
+    start, next_ms = 0, 0
     for before, recording in zip([recordings[0], *recordings], recordings, strict=False):
         if set_up(recording) != set_up(before):
             next_ms = 0
-        stop = start + len(recording.counts)
-        spans.append(Span(start, stop, recording.gesture))
+        spans.append(Span(start, start + len(recording.counts), recording.gesture))
         clocks.append(recording.sensor_ms - recording.sensor_ms[0] + next_ms)
-        next_ms = int(clocks[-1][-1]) + period_ms
-        start = stop
-    return Stream(
-        counts=np.concatenate([recording.counts for recording in recordings]),
-        sensor_ms=np.concatenate(clocks),
-        spans=tuple(spans),
-    )
+        start, next_ms = spans[-1].stop, int(clocks[-1][-1]) + PERIOD_MS
+    counts = np.concatenate([recording.counts for recording in recordings])
+    return Stream(counts, np.concatenate(clocks), tuple(spans))
 
 
-class _Layout(NamedTuple):
-    """What a header shows: its own line number, the columns in a row, and whether a clock is among them.
-
-    separator: a semicolon where a spreadsheet saved the file in a language with a decimal comma.
-    """
+class _Header(NamedTuple):
+    """A header's own line number, its columns, whether a clock is among them, and what separates them."""
 
     line_number: int
     width: int
@@ -266,34 +239,30 @@ def _lines_of(path: Path) -> Iterator[Iterator[str]]:
             # Spreadsheets mark UTF-8 by three bytes at the beginning.
             yield _lines(path, io.TextIOWrapper(unpacked, encoding="utf-8-sig", newline=""))
     except (OSError, EOFError, UnicodeDecodeError, zlib.error, csv.Error) as error:
-        why = (error.strerror if isinstance(error, OSError) else None) or str(error)
-        if isinstance(error, UnicodeDecodeError):
-            why = "no UTF-8 text; is it compressed, or saved in another encoding?"
+        encoding = "no UTF-8 text; is it compressed, or saved in another encoding?"
+        why = encoding if isinstance(error, UnicodeDecodeError) else reason(error)
         raise RecordingError(f"{path}: cannot be read as a recording ({why})") from error
 
 
 def _lines(path: Path, file: IO[str]) -> Iterator[str]:
-    for number in range(1, MOST_LINES + 1):
-        line = file.readline(LONGEST_LINE)
-        if not line:
-            return
+    for number, line in enumerate(iter(partial(file.readline, LONGEST_LINE), ""), 1):
+        if number > MOST_LINES:
+            raise RecordingError(f"{path}: more than {MOST_LINES} lines, split it into shorter recordings")
         if len(line) == LONGEST_LINE:
             raise RecordingError(f"{path}, line {number}: too long for a recording")
         yield line
-    if file.readline(1):
-        raise RecordingError(f"{path}: more than {MOST_LINES} lines, split it into shorter recordings")
 
 
 def _parse(path: Path, lines: Iterator[str], select: Selection) -> Iterator[Recording]:
-    layout = _read_header(path, lines)
-    for keys, rows in groupby(_rows(path, lines, layout), lambda numbered: _keys_of(numbered[1])):
+    header = _read_header(path, lines)
+    for keys, rows in groupby(_rows(path, lines, header), lambda numbered: _keys_of(numbered[1])):
         if not select.wants(keys):
             continue
-        clock_ms, cells = array("q"), array("H")
+        stamps, cells = array("q"), array("H")
         for line_number, row in rows:
             try:
-                if layout.has_clock:
-                    clock_ms.append(int(row[len(KEYS)]))
+                if header.has_clock:
+                    stamps.append(int(row[len(KEYS)]))
                 frame = list(map(int, row[-CELLS:]))
                 if min(frame) < 0 or max(frame) > MAX_COUNT:
                     raise ValueError(f"a count outside 0 to {MAX_COUNT}")
@@ -302,9 +271,10 @@ def _parse(path: Path, lines: Iterator[str], select: Selection) -> Iterator[Reco
                 what = str(error).replace(" for int() with base 10", ", no whole number")
                 raise RecordingError(f"{path}, line {line_number}: {what}") from error
         counts = np.array(cells, dtype=np.uint16).reshape(-1, ROWS, COLUMNS)
-        if layout.has_clock:
-            _check_clock(f"{path}: {', '.join(keys)}", np.array(clock_ms, dtype=np.int64))
-            yield Recording(*keys, counts, np.array(clock_ms, dtype=np.int64), "live")
+        if header.has_clock:
+            clock_ms = np.array(stamps, dtype=np.int64)
+            _check_clock(f"{path}: {', '.join(keys)}", clock_ms)
+            yield Recording(*keys, counts, clock_ms, "live")
         else:
             yield Recording(*keys, counts, ideal_clock_ms(len(counts)), "published")
 
@@ -313,22 +283,19 @@ def _check_clock(what: str, clock_ms: NDArray[np.int64]) -> None:
     """Refuse a clock that stands still, runs back or does not count milliseconds."""
     steps = np.diff(clock_ms)
     if len(steps) >= LEAST_STEPS and not 0 < (usual_ms := float(np.median(steps))) <= SLOWEST_STEP_MS:
-        raise RecordingError(
-            f"{what}: sensor_ms changes by {usual_ms:g} a frame; it must rise by milliseconds, not "
-            "microseconds, and may not stand still or fall"
-        )
+        must = "it must rise by milliseconds, not microseconds, and may not stand still or fall"
+        raise RecordingError(f"{what}: sensor_ms changes by {usual_ms:g} a frame; {must}")
 
 
-def _rows(path: Path, lines: Iterator[str], layout: _Layout) -> Iterator[tuple[int, list[str]]]:
+def _rows(path: Path, lines: Iterator[str], header: _Header) -> Iterator[tuple[int, list[str]]]:
     """Yield the rows after the header that are not empty, with the numbers of their lines."""
-    reader = csv.reader(lines, delimiter=layout.separator, skipinitialspace=True)
-    for line_number, row in enumerate(reader, layout.line_number + 1):
-        if row and len(row) != layout.width:
-            raise RecordingError(
-                f"{path}, line {line_number}: {len(row)} columns where the header has {layout.width}"
-            )
+    reader = csv.reader(lines, delimiter=header.separator, skipinitialspace=True)
+    for number, row in enumerate(reader, header.line_number + 1):
+        if len(row) not in (0, header.width):
+            columns = f"{len(row)} columns where the header has {header.width}"
+            raise RecordingError(f"{path}, line {number}: {columns}")
         if row:
-            yield line_number, row
+            yield number, row
 
 
 def _keys_of(row: Sequence[str]) -> Keys:
@@ -336,21 +303,19 @@ def _keys_of(row: Sequence[str]) -> Keys:
     return participant, substrate, cover, gesture
 
 
-def _read_header(path: Path, lines: Iterator[str]) -> _Layout:
+def _read_header(path: Path, lines: Iterator[str]) -> _Header:
     """Read up to the header; the official test file has one column more than the training file."""
     for number, line in enumerate(lines, 1):
         # A spreadsheet puts a comment that holds a comma in quotes.
         if line.lstrip('"').startswith("#"):
             continue
+        # A spreadsheet writes semicolons in a language with a decimal comma.
         separator = next((mark for mark in ",;\t" if mark in line), ",")
         header = [name.strip().strip('"').strip().lower() for name in line.split(separator)]
         between = header[4:-CELLS]
         is_known = header[1:4] == ["substrate", "cover", "gesture"] and header[-CELLS:][0] == "cell1"
         if is_known and between in ([], ["sequence"], ["sensor_ms"]):
-            return _Layout(number, len(header), "sensor_ms" in between, separator)
-        break
-    else:
-        raise RecordingError(f"{path}: holds no rows")
-    raise RecordingError(
-        f"{path}: no known layout (expected participant, substrate, cover, gesture, {CELLS} cells, no more)"
-    )
+            return _Header(number, len(header), "sensor_ms" in between, separator)
+        expected = f"expected participant, substrate, cover, gesture, {CELLS} cells, no more"
+        raise RecordingError(f"{path}: no known layout ({expected})")
+    raise RecordingError(f"{path}: holds no rows")
