@@ -17,8 +17,7 @@ class Backoff:
     """Pauses that double from the first to the cap, each shortened at random by up to half."""
 
     def __init__(self, first_s: float, cap_s: float) -> None:
-        self._first_s = first_s
-        self._cap_s = cap_s
+        self._first_s, self._cap_s = first_s, cap_s
         self._next_s = first_s
 
     def pause_s(self) -> float:
@@ -54,8 +53,7 @@ class FaultLog:
     """
 
     def __init__(self, log: logging.Logger, prefix: str = "") -> None:
-        self._log = log
-        self._prefix = prefix
+        self._log, self._prefix = log, prefix
         self._faults: defaultdict[str, _Fault] = defaultdict(_Fault)
 
     def begin(self, kind: str, what: str, now_s: float | None = None, cause: str = "") -> bool:
@@ -73,21 +71,20 @@ class FaultLog:
         fault.last_cause = cause
         if is_news:
             fault.causes.add(cause)
-        if is_news if fault.is_logged else now_s - fault.warned_s >= AGAIN_S:
+        is_warning = is_news if fault.is_logged else now_s - fault.warned_s >= AGAIN_S
+        if is_warning:
             fault.is_logged, fault.warned_s = True, now_s
-            self._log.warning("%s%s", self._prefix, what)
-        else:
-            self._log.debug("%s%s", self._prefix, what)
+        self._log.log(logging.WARNING if is_warning else logging.DEBUG, "%s%s", self._prefix, what)
         return is_news
 
     def count(self, kind: str, total: int, what: str, over: str) -> None:
         """Note how often something happened so far: the fault lasts while this rises from call to call."""
         fault = self._faults[kind]
-        before, fault.total = fault.total, total
-        if total != before:
+        if total != fault.total:
             self.begin(kind, what)
         else:
             self.end(kind, over)
+        fault.total = total
 
     def end(self, kind: str, what: str = "", now_s: float | None = None) -> bool:
         """Note that a fault is over, if it lasted; `what`, if given, is logged with how long that was.

@@ -19,6 +19,8 @@ from contextlib import suppress
 from functools import lru_cache
 from typing import Any, TypeAlias
 
+from touchd.drivers.errors import reason
+
 log = logging.getLogger(__name__)
 
 # For the caller; the lookup itself goes on, and the next attempt waits for it again.
@@ -30,7 +32,6 @@ HEAD_START_S = 0.25
 SLICE_S = 0.05
 # A name server may return any number of addresses.
 MOST_ADDRESSES = 8
-MOST_NAMES = 64
 # ioctl(2), netdevice(7): the address of an interface.
 SIOCGIFADDR = 0x8915
 
@@ -106,21 +107,14 @@ def _start(family: socket.AddressFamily, where: Any) -> socket.socket:
     return started
 
 
-@lru_cache(MOST_NAMES)
-def _name(host: str) -> "Name":
-    return Name(host)
-
-
 class Name:
     """A host's name and its last known addresses."""
 
     def __init__(self, host: str) -> None:
-        self._host = host
-        self._lock = threading.Lock()
+        self._host, self._lock, self._is_slow = host, threading.Lock(), False
         self._found: Sequence[Address] = ()
         self._failed: Exception | None = None
         self._lookup: threading.Thread | None = None
-        self._is_slow = False
 
     def addresses(self, port: int, stopping: threading.Event) -> Sequence[Address]:
         """Return the addresses, looked up if none is known; raises OSError."""
@@ -131,9 +125,8 @@ class Name:
                 lookup.join(SLICE_S)
         found, failed = self._found, self._failed
         if not found:
-            why = getattr(failed, "strerror", None) or failed or f"no address within {LOOKUP_S:g} s"
-            code = failed.errno if isinstance(failed, socket.gaierror) else socket.EAI_AGAIN
-            raise socket.gaierror(code, f"{self._host} cannot be resolved: {why}")
+            why = reason(failed) if failed else f"no address within {LOOKUP_S:g} s"
+            raise socket.gaierror(socket.EAI_NONAME, f"{self._host} cannot be resolved: {why}")
         return [(family, (where[0], port, *where[2:])) for family, where in found]
 
     def look_up(self) -> threading.Thread:
@@ -163,6 +156,9 @@ class Name:
             if self._host.endswith(".local"):
                 advice += ", or put mdns4_minimal in the place of mdns_minimal in /etc/nsswitch.conf"
             log.warning("%s takes %.1f s to resolve: %s", self._host, took_s, advice)
+
+
+_name = lru_cache(Name)
 
 
 def own_addresses() -> list[str]:

@@ -29,15 +29,11 @@ class Pace:
 
 
 def steps_ms(frames: Sequence[Frame]) -> NDArray[np.int64]:
-    """Return the steps between T frames by the pad's clock, (T - 1,) ms; the clock may wrap.
-
-    If the clock runs back, the pad was reset; that step counts as a usual one.
-    """
+    """Return the steps between T frames by the pad's clock, (T - 1,) ms; the clock may wrap."""
     stamps = np.array([frame.sensor_ms for frame in frames], dtype=np.int64)
     steps: NDArray[np.int64] = np.diff(stamps) % CLOCK_MODULUS
-    is_back = steps > CLOCK_MODULUS // 2
-    if is_back.any():
-        steps[is_back] = 0 if is_back.all() else np.median(steps[~is_back])
+    # The clock runs back when the pad was reset.
+    steps[steps > CLOCK_MODULUS // 2] = 0
     return steps
 
 
