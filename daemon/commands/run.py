@@ -107,9 +107,8 @@ def main(arguments: Sequence[str]) -> int:
         signals.listen(has_terminal=any(map(os.isatty, (0, 1, 2))))
         closing.callback(signals.ignore)
         service = Service(settings)
-        service.events.tags = tags
         ports = [pad.sensor.port for pad in settings.pads.values()]
-        closing.enter_context(serving_tags(service.events, found.file, ports))
+        closing.enter_context(serving_tags(service.events, tags, found.file, ports))
         live = settings.live
         page = urls_of(live, live.port)[0] if live and live.port else ""
         if options.view:

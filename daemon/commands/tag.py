@@ -1,16 +1,12 @@
 """`touchd tag`: puts tags into the events of a daemon that runs on this computer."""
 
 import argparse
-import os
-import socket
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-import msgspec
-
-from touchd.daemon.sinks.tags import ANSWER_WITHIN_S, MOST_BYTES, Reply, TagError, changed, in_words, sockets
-from touchd.drivers.errors import one_line
+from touchd.daemon.sinks.tags import TagError, changed, in_words, read_tags, running_daemons, write_tags
+from touchd.drivers.errors import one_line, os_errors_as
 
 
 def parser() -> argparse.ArgumentParser:
@@ -35,8 +31,7 @@ def main(arguments: Sequence[str]) -> int:
     # Report a mistake in a tag before a missing daemon.
     changed({}, options.tags)
     wanted = str(options.config.resolve()) if options.config else None
-    asked = ((path, _request(path, [])) for path in sockets())
-    running = {path: reply for path, reply in asked if reply and wanted in (None, reply.config)}
+    running = {file: one for file, one in running_daemons().items() if wanted in (None, one.config)}
     if not running:
         which = "no touchd with these settings" if wanted else "no touchd of yours"
         raise TagError(
@@ -45,35 +40,13 @@ def main(arguments: Sequence[str]) -> int:
         )
     if len(running) > 1:
         each = "; ".join(
-            f"{reply.config or 'the defaults'} (pad at {', '.join(reply.ports)})"
-            for reply in running.values()
+            f"{one.config or 'the defaults'} (pad at {', '.join(one.ports)})" for one in running.values()
         )
         raise TagError(f"{len(running)} touchd run on this computer; choose one with -c FILE: {each}")
-    (path,) = running
-    reply = _request(path, options.tags)
-    if reply is None:
-        raise TagError("touchd has just ended; start it again, with the tags after --tag")
-    if reply.error:
-        raise TagError(reply.error)
-    sys.stdout.write(f"tags: {one_line(in_words(reply.tags))}\n")
+    (file,) = running
+    with os_errors_as(TagError, f"{file}: the tags cannot be changed", "has touchd just ended?"):
+        tags = changed(read_tags(file), options.tags)
+        if options.tags:
+            write_tags(file, tags)
+    sys.stdout.write(f"tags: {one_line(in_words(tags))}\n")
     return 0
-
-
-def _request(path: Path, tags: list[str]) -> Reply | None:
-    """Send tags to a daemon; return its reply, None if it has ended or is another user's.
-
-    Raises TagError if it hangs.
-    """
-    try:
-        # In /tmp, another user may have put a socket that anybody reaches.
-        if os.geteuid() not in (0, path.stat().st_uid):
-            return None
-        with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as connection:
-            connection.settimeout(2 * ANSWER_WITHIN_S)
-            connection.connect(str(path))
-            connection.send(msgspec.json.encode(tags))
-            return msgspec.json.decode(connection.recv(MOST_BYTES), type=Reply)
-    except TimeoutError as error:
-        raise TagError(f"the touchd behind {path} does not answer; try again, or restart it") from error
-    except (OSError, msgspec.DecodeError):
-        return None

@@ -40,20 +40,20 @@ class EventFanout:
     """Hands every event to every sink; any thread may call it, and no sink makes it wait.
 
     sinks: in order; the robot comes last, so that its own events follow the answer that caused them.
-    touches: number of touches that began. tags: put into each event.
+    touches: number of touches that began. tags: returns those to put into an event.
     """
 
     def __init__(self) -> None:
         self.sinks: tuple[Sink, ...] = ()
         self.touches = 0
-        self.tags: Mapping[str, str] = {}
+        self.tags: Callable[[], Mapping[str, str]] = dict
 
     def emit(self, event: Event) -> None:
         # The robot's threads emit events too, but no touches: only one thread may count.
         if isinstance(event, TouchBegan):
             self.touches += 1
-        if self.tags:
-            event = msgspec.structs.replace(event, tags=self.tags)
+        if tags := self.tags():
+            event = msgspec.structs.replace(event, tags=tags)
         for sink in self.sinks:
             sink.put(event)
 

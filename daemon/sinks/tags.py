@@ -1,11 +1,13 @@
-"""Tags: what the person who runs trials says of them, as in participant=P07; they stand in every event."""
+"""Tags: what the person who runs trials says of them, as in participant=P07; they stand in every event.
 
-import errno
+While a daemon runs it has NAME.lock, locked, which says what daemon it is, and NAME.tags. `touchd tag`
+replaces the latter; the daemon reads it for each event.
+"""
+
+import fcntl
 import logging
 import os
 import re
-import socket
-import threading
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -16,6 +18,7 @@ import msgspec
 
 from touchd.daemon.sinks.sink import EventFanout
 from touchd.drivers.errors import TouchdError
+from touchd.drivers.whole_file import whole_file, without_waiting
 
 log = logging.getLogger(__name__)
 
@@ -23,8 +26,8 @@ KEY = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,31}")
 LONGEST_VALUE = 64
 MOST_TAGS = 8
 MOST_BYTES = 8192
-ANSWER_WITHIN_S = 1.0
-# Of the sockets of the service's daemons, of users' daemons, and of daemons without a folder of their own.
+OWN_MODE = 0o600
+# Of the files of the service's daemons, of users' daemons, and of daemons without a folder of their own.
 FOLDERS = ("/run/touchd*", "/run/user/*", "/tmp")
 
 
@@ -32,16 +35,11 @@ class TagError(TouchdError):
     """A tag cannot be used; the message is one line that says why."""
 
 
-class Reply(msgspec.Struct):
-    """A daemon's answer to a request for tags.
-
-    config: the file of its settings, "" for the defaults. ports: of its pads. error: why nothing was changed.
-    """
+class RunningDaemon(msgspec.Struct, frozen=True):
+    """A daemon on this computer. config: its settings' file, "" for the defaults. ports: of its pads."""
 
     config: str
     ports: list[str]
-    tags: dict[str, str]
-    error: str = ""
 
 
 def changed(tags: Mapping[str, str], texts: Iterable[str]) -> dict[str, str]:
@@ -72,69 +70,74 @@ def in_words(tags: Mapping[str, str]) -> str:
 
 
 def own_folder() -> Path:
-    """Return the folder for the socket of a daemon that this process is."""
+    """Return the folder for the files of a daemon that this process is."""
     named = os.environ.get("RUNTIME_DIRECTORY") or os.environ.get("XDG_RUNTIME_DIR")
     return Path(named) if named and os.access(named, os.W_OK) else Path("/tmp")
 
 
-def sockets() -> list[Path]:
-    """Return the sockets of the daemons on this computer; only root reaches those of other users."""
+def running_daemons() -> dict[Path, RunningDaemon]:
+    """Return the daemons on this computer by their files of tags; only root finds those of other users."""
+    found = {}
     folders = (str(own_folder()), *FOLDERS)
-    return sorted({Path(path) for folder in folders for path in glob(f"{folder}/touchd-*.socket")})
+    for path in sorted({path for folder in folders for path in glob(f"{folder}/touchd-*.lock")}):
+        with suppress(OSError, msgspec.DecodeError), open(path, "rb", opener=without_waiting) as file:
+            # In /tmp, another user may have put a file that anybody can read.
+            if os.geteuid() not in (0, os.fstat(file.fileno()).st_uid):
+                continue
+            try:
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except BlockingIOError:
+                daemon = msgspec.json.decode(file.read(MOST_BYTES), type=RunningDaemon)
+                found[Path(path).with_suffix(".tags")] = daemon
+    return found
+
+
+def read_tags(file: Path) -> dict[str, str]:
+    """Return the tags in a daemon's file; raises OSError, and DecodeError if it holds none."""
+    return msgspec.json.decode(file.read_bytes(), type=dict[str, str])
+
+
+def write_tags(file: Path, tags: Mapping[str, str]) -> None:
+    """Replace a daemon's tags; raises OSError."""
+    with whole_file(file, mode=OWN_MODE) as new, new.open("xb") as opened:
+        opened.write(msgspec.json.encode(tags))
 
 
 @contextmanager
-def serving_tags(events: EventFanout, config: Path | None, ports: Sequence[str]) -> Iterator[None]:
-    """Take tags from `touchd tag`, from this user and root, while the context lasts.
+def serving_tags(
+    events: EventFanout, tags: Mapping[str, str], config: Path | None, ports: Sequence[str]
+) -> Iterator[None]:
+    """Put tags into events, and take others from `touchd tag`, of this user and root, until the context ends.
 
     config: the file of the daemon's settings, None for the defaults. ports: of its pads.
     """
-    own = Reply(str(config.resolve()) if config else "", list(ports), {})
+    own = RunningDaemon(str(config.resolve()) if config else "", list(ports))
     # The user's number, as /tmp is everybody's.
-    name = f"{os.geteuid()}-{zlib.crc32(own.config.encode()):08x}"
-    path = own_folder() / f"touchd-{name}.socket"
+    lock = own_folder() / f"touchd-{os.geteuid()}-{zlib.crc32(own.config.encode()):08x}.lock"
+    file = lock.with_suffix(".tags")
+
+    def current() -> Mapping[str, str]:
+        nonlocal tags
+        # Without the file, or with a damaged one, the tags stay.
+        with suppress(OSError, msgspec.DecodeError):
+            before, tags = tags, read_tags(file)
+            if tags != before:
+                log.info("tags: %s", in_words(tags))
+        return tags
+
+    events.tags = lambda: tags
     with ExitStack() as closing:
-        listener = closing.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET))
         try:
-            _bind(listener, path)
+            fd = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, OWN_MODE)
+            closing.callback(os.close, fd)
+            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            write_tags(file, tags)
+            os.ftruncate(fd, 0)
+            os.write(fd, msgspec.json.encode(own))
         except OSError as error:
-            log.warning("`touchd tag` will not work: %s: %s", path, error.strerror or error)
+            log.warning("`touchd tag` will not work: %s: %s", lock, error.strerror or error)
         else:
-            thread = threading.Thread(target=_serve, args=(listener, events, own), name="touchd-tags")
-            thread.daemon = True
-            thread.start()
-            closing.callback(path.unlink, missing_ok=True)
-            closing.callback(thread.join, ANSWER_WITHIN_S)
-            closing.callback(listener.shutdown, socket.SHUT_RDWR)
+            events.tags = current
+            closing.callback(file.unlink, missing_ok=True)
+            closing.callback(lock.unlink, missing_ok=True)
         yield
-
-
-def _bind(listener: socket.socket, path: Path) -> None:
-    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as client:
-        # A daemon that was killed leaves its socket.
-        if client.connect_ex(str(path)) == errno.ECONNREFUSED:
-            path.unlink()
-    listener.bind(str(path))
-    path.chmod(0o600)
-    listener.listen()
-
-
-def _serve(listener: socket.socket, events: EventFanout, own: Reply) -> None:
-    with suppress(OSError):
-        while True:
-            connection, _ = listener.accept()
-            with connection, suppress(OSError):
-                connection.settimeout(ANSWER_WITHIN_S)
-                connection.send(msgspec.json.encode(_answer(connection.recv(MOST_BYTES), events, own)))
-
-
-def _answer(request: bytes, events: EventFanout, own: Reply) -> Reply:
-    before = dict(events.tags)
-    try:
-        new = changed(before, msgspec.json.decode(request, type=list[str]))
-    except (TagError, msgspec.DecodeError, RecursionError) as error:
-        return msgspec.structs.replace(own, tags=before, error=str(error))
-    if new != before:
-        events.tags = new
-        log.info("tags: %s", in_words(new))
-    return msgspec.structs.replace(own, tags=new)

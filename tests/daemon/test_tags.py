@@ -2,7 +2,6 @@
 
 import json
 import os
-import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -42,7 +41,7 @@ tag.main(["participant=P07"])
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The only folder in which this computer's daemons have their sockets."""
+    """The only folder in which this computer's daemons have their files."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
     monkeypatch.setattr(tags, "FOLDERS", ())
@@ -55,7 +54,7 @@ def tagged(config: str = "a.yaml") -> Iterator[tuple[EventFanout, list[Event]]]:
     fanout, events = EventFanout(), list[Event]()
     sink: Any = SimpleNamespace(put=events.append)
     fanout.sinks = (sink,)
-    with serving_tags(fanout, Path(config), [f"/dev/{config}"]):
+    with serving_tags(fanout, {}, Path(config), [f"/dev/{config}"]):
         yield fanout, events
 
 
@@ -97,7 +96,7 @@ def test_an_unusable_tag_changes_nothing(texts: list[str], capsys: pytest.Captur
     with tagged() as (fanout, _):
         assert tag("participant=P07") == 0
         assert tag("condition=fur", *texts) == 2
-        assert fanout.tags == {"participant": "P07"}
+        assert fanout.tags() == {"participant": "P07"}
     assert len(capsys.readouterr().err.splitlines()) == 1
 
 
@@ -118,37 +117,40 @@ def test_of_two_daemons_one_has_to_be_chosen(capsys: pytest.CaptureFixture[str])
         for config in ("a.yaml", "b.yaml"):
             assert f"{Path(config).resolve()} (pad at /dev/{config})" in said
         assert tag("participant=P07", "-c", "a.yaml") == 0
-        assert (fanout.tags, other.tags) == ({"participant": "P07"}, {})
+        assert (fanout.tags(), other.tags()) == ({"participant": "P07"}, {})
 
 
-def test_a_daemon_that_hangs_is_named(
-    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("touchd.daemon.commands.tag.ANSWER_WITHIN_S", 0.05)
-    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as hanging:
-        hanging.bind(str(folder / "touchd-a.socket"))
-        hanging.listen()
-        assert tag("participant=P07") == 2
-    assert f"{folder}/touchd-a.socket does not answer" in capsys.readouterr().err
-
-
-def test_what_a_killed_daemon_left_is_replaced(folder: Path) -> None:
+def test_what_a_killed_daemon_left_is_replaced(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with tagged():
-        (path,) = folder.iterdir()
-    assert not path.exists()
-    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as killed:
-        killed.bind(str(path))
+        left = {path: path.read_bytes() for path in folder.iterdir()}
+    assert list(folder.iterdir()) == []
+    for path, content in left.items():
+        path.write_bytes(content)
+    assert tag("participant=P07") == 2
+    assert "no touchd of yours runs" in capsys.readouterr().err
     with tagged() as (fanout, _):
         assert tag("participant=P07") == 0
-        assert fanout.tags == {"participant": "P07"}
+        assert fanout.tags() == {"participant": "P07"}
 
 
-def test_a_second_daemon_of_one_file_leaves_the_firsts_socket(caplog: pytest.LogCaptureFixture) -> None:
+@pytest.mark.parametrize("content", [None, b"", b"[1]", b"\xff"])
+def test_a_damaged_file_leaves_the_tags_as_they_are(folder: Path, content: bytes | None) -> None:
+    with tagged() as (fanout, _):
+        assert tag("participant=P07") == 0
+        assert fanout.tags() == {"participant": "P07"}
+        (file,) = folder.glob("*.tags")
+        file.unlink()
+        if content is not None:
+            file.write_bytes(content)
+        assert fanout.tags() == {"participant": "P07"}
+
+
+def test_a_second_daemon_of_one_file_leaves_the_firsts_tags(caplog: pytest.LogCaptureFixture) -> None:
     with tagged() as (fanout, _):
         with tagged():
             assert "`touchd tag` will not work" in caplog.text
         assert tag("participant=P07") == 0
-        assert fanout.tags == {"participant": "P07"}
+        assert fanout.tags() == {"participant": "P07"}
 
 
 @pytest.mark.parametrize("session", ["", "/nowhere"])
@@ -156,7 +158,7 @@ def test_without_a_session_daemon_and_command_meet_too(monkeypatch: pytest.Monke
     monkeypatch.setenv("XDG_RUNTIME_DIR", session)
     with tagged() as (fanout, _):
         assert tag("participant=P07", "-c", "a.yaml") == 0
-        assert fanout.tags == {"participant": "P07"}
+        assert fanout.tags() == {"participant": "P07"}
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
@@ -168,7 +170,7 @@ def test_another_user_cannot_tag(tmp_path: Path) -> None:
             asked = subprocess.run(
                 [sys.executable, "-c", AS_ANOTHER_USER, shared], capture_output=True, text=True
             )
-            assert fanout.tags == {}
+            assert fanout.tags() == {}
     assert "put sudo before the command" in asked.stderr
 
 
