@@ -1,7 +1,6 @@
 """What the doctor works with: a sample of what a pad sends, and the result of a check."""
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -57,31 +56,23 @@ class Sample:
         return np.stack([frame.pressure for frame in self.frames])
 
 
-def listen(
-    opened: Line,
-    parser: FrameParser,
-    seconds: float,
-    start_s: float = START_S,
-    enough: Callable[[Frame], bool] = lambda frame: False,
-) -> Sample:
+def listen(opened: Line, parser: FrameParser, seconds: float, start_s: float = START_S) -> Sample:
     """Listen for `seconds` after the first frame; without one, after the first bytes.
 
-    start_s: how long the first bytes may take. enough: ends listening at a frame if true. Raises SensorError
-    when the port goes away.
+    start_s: how long the first bytes may take. Raises SensorError when the port goes away.
     """
     frames: list[Frame] = []
     chunks: list[Chunk] = []
-    size, damaged_before, is_enough = 0, 0, False
+    size, damaged_before = 0, 0
     now_s = time.monotonic()
     until_s = now_s + start_s
-    while not is_enough and now_s < until_s:
+    while now_s < until_s:
         data = read_waiting(opened, parser)
         now_s = time.monotonic()
         arrived = parser.feed(data, now_s)
         if (data and not chunks) or (arrived and not frames):
             until_s, damaged_before = now_s + seconds, parser.counts.bad
         frames += arrived
-        is_enough = any(map(enough, arrived))
         chunks += [Chunk(data, now_s)] if data else []
         size += len(data)
         while size > MOST_BYTES:
