@@ -84,13 +84,13 @@ def main(arguments: Sequence[str]) -> int:
     # Without a pad, assume a fabric pad's rate, which is not the first of the usual rates.
     unseen = Found(options.port or DEFAULT_PORT, options.baud or SensorSettings().baud, None)
     port, baud, described = found or unseen
-    named = lasting_name(port)
+    name, why = lasting_name(port)
     robot = _find_robot(console, _ask_robot(console) if options.robot is None else options.robot)
     certificate = certificate_at(robot) if robot and robot.startswith("tcps://") else None
-    _write(options.file, named.port, baud, described or PRESETS[FABRIC], robot, certificate)
+    _write(options.file, name, baud, described or PRESETS[FABRIC], robot, certificate)
     file = shlex.quote(str(options.file))
     later = f"none found, so {file} describes a fabric pad; for another, plug it in, delete {file} and repeat"
-    console.print(f"pad: {described}, at {named.port} ({named.why})" if described else f"pad: {later}")
+    console.print(f"pad: {described}, at {name} ({why})" if described else f"pad: {later}")
     is_well = described is not None
     if robot:
         check = check_robot(load(options.file))

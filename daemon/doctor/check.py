@@ -10,10 +10,10 @@ from touchd.drivers.errors import one_line
 from touchd.drivers.frame import Counts, Frame
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import Line, read_waiting
-from touchd.drivers.search.listen import MOST_BYTES, Chunk
 
 # Opening the port restarts an Arduino, whose boot loader takes two seconds.
 START_S = 4.0
+LATEST_BYTES = 65536
 Verdict = Literal["ok", "warning", "to do", "not checked"]
 
 
@@ -39,16 +39,15 @@ class Check:
 class Sample:
     """What a pad sent in a while.
 
-    frames: in order. damaged: frames refused as damaged after the first intact one. chunks: the bytes,
-    the latest megabyte. ended_s: when listening ended, `time.monotonic()`. has_clock: whether the pad's clock
-    dated the frames. clipped: the share of frames with values above full scale.
+    frames: in order. damaged: frames refused as damaged after the first intact one. data: the latest bytes,
+    at most LATEST_BYTES. ended_s: when listening ended, `time.monotonic()`. clipped: the share of frames with
+    values above full scale.
     """
 
     frames: tuple[Frame, ...]
     damaged: int
-    chunks: tuple[Chunk, ...]
+    data: bytes
     ended_s: float
-    has_clock: bool
     clipped: float = 0.0
 
     def counts(self) -> Counts:
@@ -62,21 +61,17 @@ def listen(opened: Line, parser: FrameParser, seconds: float, start_s: float = S
     start_s: how long the first bytes may take. Raises SensorError when the port goes away.
     """
     frames: list[Frame] = []
-    chunks: list[Chunk] = []
-    size, damaged_before = 0, 0
+    latest, damaged_before = b"", 0
     now_s = time.monotonic()
     until_s = now_s + start_s
     while now_s < until_s:
         data = read_waiting(opened, parser)
         now_s = time.monotonic()
         arrived = parser.feed(data, now_s)
-        if (data and not chunks) or (arrived and not frames):
+        if (data and not latest) or (arrived and not frames):
             until_s, damaged_before = now_s + seconds, parser.counts.bad
         frames += arrived
-        chunks += [Chunk(data, now_s)] if data else []
-        size += len(data)
-        while size > MOST_BYTES:
-            size -= len(chunks.pop(0).data)
+        latest = (latest + data)[-LATEST_BYTES:]
     damaged = parser.counts.bad - damaged_before if frames else 0
     clipped = parser.counts.clipped / max(parser.counts.frames, 1)
-    return Sample(tuple(frames), damaged, tuple(chunks), now_s, parser.dates_frames, clipped)
+    return Sample(tuple(frames), damaged, latest, now_s, clipped)

@@ -75,7 +75,7 @@ def add_grid(parser: argparse.ArgumentParser) -> None:
 def ask_grid(console: Console, opened: Line) -> Grid | None:
     """Say how large the pad's frames are, and ask for its rows and columns; None if nothing has frames.
 
-    A grid that does not fit the frames is asked for again, and taken if it is typed twice.
+    A grid that does not fit the frames is asked for again.
     """
     forget_waiting(opened)
     chunks = [Chunk(b"", time.monotonic()), *listen(opened, REST_S)]
@@ -84,20 +84,19 @@ def ask_grid(console: Console, opened: Line) -> Grid | None:
         return None
     default = f" [{seen.grid[0]}x{seen.grid[1]}] ({seen.why})" if seen.grid else ""
     console.print(f"Your pad sends {seen.frame}, {seen.rate_hz:.0f} frames a second.")
-    grid = refused = None
+    grid = None
     while grid is None:
         console.print(f"Rows and columns?{default} ", style="cyan", end="")
-        typed = sys.stdin.readline()
+        if not (typed := sys.stdin.readline()):
+            break
         try:
             grid = seen.grid if not typed.strip() and seen.grid else grid_of(typed)
         except argparse.ArgumentTypeError as error:
             console.print(str(error), style="yellow")
-            if not typed:
-                break
-        if grid not in (None, refused) and not any(placements(chunks, grid)):
-            why = f"{seen.frame} do not fit {grid[0]}x{grid[1]} cells; to take it anyway, type it again"
-            console.print(why, style="yellow")
-            grid, refused = None, grid
+            continue
+        if not any(placements(chunks, grid)):
+            console.print(f"{seen.frame} do not fit {grid[0]}x{grid[1]} cells", style="yellow")
+            grid = None
     # What came while the person typed is not complete.
     forget_waiting(opened)
     return grid
@@ -151,8 +150,7 @@ def _is_again(finding: Finding, before: Finding) -> bool:
     found, earlier = finding.proposed, before.proposed
     if found is None or earlier is None:
         return found is earlier and not (finding.may_come or before.may_come)
-    same_grid = (found.rows, found.columns) == (earlier.rows, earlier.columns)
-    return same_grid and (found.line, found.invert) == (earlier.line, earlier.invert)
+    return replace(found, full_scale=earlier.full_scale) == earlier
 
 
 def turned_with_a_hand(

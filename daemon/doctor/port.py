@@ -6,7 +6,6 @@ import os
 import pwd
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
 
 from serial.tools.list_ports import comports
 
@@ -17,30 +16,23 @@ SERIAL_GROUPS = ("dialout", "uucp", "plugdev")
 MOST_PROGRAMS = 3
 
 
-class LastingName(NamedTuple):
-    """A port's name for a configuration, and why it is that one, in a few words."""
-
-    port: str
-    why: str
-
-
-def lasting_name(port: str) -> LastingName:
-    """Return the best name for a port.
+def lasting_name(port: str) -> tuple[str, str]:
+    """Return the best name for a port in a configuration, and why it is that one, in a few words.
 
     /dev/ttyACM0 is whichever board was plugged in first, and two boards may both claim /dev/touchd-pad.
     A name that the user chose, other than these, is returned as it is.
     """
     is_chosen = "://" in port or (os.path.islink(port) and Path(port).name != "touchd-pad")
     if is_chosen or not os.path.exists(port):
-        return LastingName(port, "as given")
+        return port, "as given"
     device = os.path.realpath(port)
     by_number, by_socket = (_link_to(device, folder) for folder in (BY_ID, BY_PATH))
     why = _why_not_by_number(device)
     if by_number and not why:
-        return LastingName(by_number, "it stays with this board, by its serial number")
+        return by_number, "it stays with this board, by its serial number"
     if by_socket:
-        return LastingName(by_socket, f"it stays with this socket; {why or 'it has no name by its number'}")
-    return LastingName(by_number or port, "the only name that it has")
+        return by_socket, f"it stays with this socket; {why or 'it has no name by its number'}"
+    return by_number or port, "the only name that it has"
 
 
 def _link_to(device: str, folder: Path) -> str:

@@ -46,9 +46,8 @@ def check_rest(sample: Sample, settings: Settings) -> Check:
     # A pad may rest high everywhere, and unevenly; an object raises some taxels far above the median.
     lies = level > LOADED_COUNTS + 2 * np.median(level)
     if lies.any():
-        where = places(lies)
         advice = "take it off; if nothing does, look for a short there"
-        return Check("rest", "to do", f"{found}: something lies on {where}", advice)
+        return Check("rest", "to do", f"{found}: something lies on {places(lies)}", advice)
     if level.mean() > KNOWN_REST_COUNTS:
         found += "; what a touch adds to that is recognised"
     return Check("rest", "ok", found)
@@ -64,8 +63,7 @@ def check_quiet(sample: Sample, settings: Settings) -> Check:
     advice = "if you did not touch it: look for a loose wire with touchd run --view"
     if settings.touch.sensitivity != "low":
         advice += ", or set touch.sensitivity to low"
-    times = "a touch was" if touches == 1 else f"{touches} touches were"
-    return Check("quiet", "to do", f"{times} detected while listening", advice)
+    return Check("quiet", "to do", f"touches detected while listening: {touches}", advice)
 
 
 def check_noise(sample: Sample) -> Check:

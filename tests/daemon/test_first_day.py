@@ -209,7 +209,7 @@ def test_a_clock_that_restarts_does_not_report_a_broken_pad() -> None:
     clock_ms = [*range(5000, 9000, 18), *range(0, 4000, 19)]
     counts = np.zeros((8, 8), np.uint16)
     frames = tuple(Frame(ms, n / 54, counts) for n, ms in enumerate(clock_ms))
-    checked = check_rate(Sample(frames, 0, (), len(frames) / 54, has_clock=True))
+    checked = check_rate(Sample(frames, 0, b"", len(frames) / 54))
     assert checked.verdict == "ok", checked
 
 

@@ -24,7 +24,6 @@ from touchd.daemon.commands import init
 from touchd.daemon.commands.init import main
 from touchd.daemon.doctor import hand, machine
 from touchd.daemon.doctor.hand import turned_with_a_hand
-from touchd.daemon.doctor.port import LastingName
 from touchd.daemon.playback.rig import encoder_for
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.pad.format import PRESETS, PadFormat
@@ -70,7 +69,7 @@ def test_a_port_is_written_by_a_name_that_lasts(
 ) -> None:
     lasting = tmp_path / "by-id"
     monkeypatch.setattr(init, "_find", lambda *_: found)
-    monkeypatch.setattr(init, "lasting_name", lambda port: LastingName(str(lasting), "it stays"))
+    monkeypatch.setattr(init, "lasting_name", lambda port: (str(lasting), "it stays"))
     assert write("--port", "/dev/ttyACM0") == (found is None)
     assert load(FILE).sensor.port == str(lasting)
 
@@ -173,7 +172,7 @@ def test_what_was_found_is_written(monkeypatch: pytest.MonkeyPatch, changed: dic
 @pytest.mark.parametrize(
     ("login", "said"),
     [
-        (None, "robot: NAOqi 2.8.7.4 at {}, reached in"),
+        (None, "robot: NAOqi 2.8.7.4 at {}"),
         (LOGIN, "robot: {} answers, and asks for a login; set robot.user and robot.token_file"),
     ],
 )
@@ -218,14 +217,14 @@ def test_the_robot_is_asked_for_until_it_is_an_address() -> None:
     assert found.url == robot.url
 
 
-def test_a_grid_that_does_not_fit_is_asked_for_again_and_then_taken() -> None:
+def test_a_grid_that_does_not_fit_is_asked_for_again() -> None:
     with FakePort(STREAM, ENCODE, loop=True) as port:
         terminal = Terminal("init", "--port", port.path, "--baud", "115200")
         terminal.until("Rows and columns? [10x10] (as fabric-grid)")
         terminal.answer("8x8", "209 bytes a frame do not fit 8x8 cells", "Rows and columns? [10x10]")
     with terminal:
         # The pad is unplugged here.
-        terminal.answer("8x8", f"{port.path} went away: unplugged or switched off?", "The robot's name")
+        terminal.answer("", f"{port.path} went away: unplugged or switched off?", "The robot's name")
 
 
 def wandering_then_held(row: int, column: int, held_s: float, wandering_s: float = SECONDS) -> Stream:

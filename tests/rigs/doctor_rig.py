@@ -71,7 +71,7 @@ def sample(counts: Counts, faults: Faults = NO_FAULTS) -> Sample:
     for number, scan in enumerate(counts):
         sent = encode_fabric_grid(scan, round(1000 * number / 54))
         frames += parser.feed(faults.on_line(number, sent), number / 54)
-    return Sample(tuple(frames), parser.counts.bad, (), frames[-1].host_s, has_clock=True)
+    return Sample(tuple(frames), parser.counts.bad, b"", frames[-1].host_s)
 
 
 def the(name: str, checks: Iterator[Check]) -> Check:
