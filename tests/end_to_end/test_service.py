@@ -10,9 +10,10 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from rigs.programs import TOUCHD, Program, ran
 from rigs.service_manager import Manager
 from rigs.wait import AT_ONCE_S, WITHIN_S
 
-from touchd.daemon.app.config import JournalSettings, LiveSettings, PadSettings, SensorSettings, Settings
+from touchd.daemon.app.config import JournalSettings, PadSettings, SensorSettings, Settings
 from touchd.daemon.app.parts import PadChannel
 from touchd.daemon.app.systemd import Health, Notifier
 from touchd.daemon.path.events import Event, SensorEvent, TouchEnded, encode
@@ -173,15 +174,22 @@ def test_dropped_frames_are_logged_until_the_queue_is_empty(caplog: pytest.LogCa
     assert int(processed) + int(dropped) == 600
 
 
-def test_a_page_that_nobody_watches_does_not_hurry_the_reader() -> None:
+@pytest.mark.parametrize(
+    ("watched", "bridged", "together"), [(False, None, 3), (True, None, 1), (False, 54.0, 1)]
+)
+def test_frames_are_read_singly_while_somebody_is_shown_them(
+    watched: bool, bridged: float | None, together: int
+) -> None:
     rest = splice(simulate((("notouch", 5.0),), seed=1))
-    with FakePort(rest, encoder_for(SensorSettings())) as port:
-        sensor = SensorSettings(port=port.path)
-        service = Service(Settings(sensor=sensor, live=LiveSettings(port=0), journal=None))
+    with FakePort(rest, encoder_for(SensorSettings()), speed=8.0) as port:
+        service = Service(Settings(sensor=SensorSettings(port=port.path), journal=None))
+        taker = {"put_frame": lambda *_: None}
+        service.watchers.append(SimpleNamespace(is_watched=watched, put=print, **taker))
+        service.parts = replace(service.parts, bridges=(SimpleNamespace(frames_hz=bridged, **taker),))
         (pad,) = service.pads
         until_s = time.monotonic() + WITHIN_S
-        service.run(lambda: pad.sensor.frames_together > 1 or time.monotonic() > until_s)
-    assert pad.sensor.frames_together > 1
+        service.run(lambda: pad.frames > 100 or time.monotonic() > until_s)
+    assert (pad.frames > 100, pad.sensor.frames_together) == (True, together)
 
 
 class MeetingSink:
