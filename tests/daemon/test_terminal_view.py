@@ -9,7 +9,6 @@ import signal
 import struct
 import subprocess
 import sys
-import time
 from fcntl import ioctl
 from termios import TIOCSWINSZ
 from typing import Any
@@ -207,19 +206,6 @@ def test_a_command_to_copy_is_shown_whole(doing: str) -> None:
     assert doing in last
 
 
-def shown_on(terminal: int) -> subprocess.Popen[bytes]:
-    environment = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES")}
-    return subprocess.Popen(
-        [sys.executable, "-c", SHOWN],
-        stdin=subprocess.PIPE,
-        stdout=terminal,
-        stderr=subprocess.DEVNULL,
-        env={**environment, "TERM": "xterm-256color", "COLORTERM": "truecolor"},
-        # A group whose parent could continue it, so that Ctrl-Z can stop it.
-        preexec_fn=os.setpgrp,
-    )
-
-
 def read_until(terminal: int, text: bytes, times: int = 1) -> bytes:
     """Read what is drawn until a text has come so often."""
     drawn = b""
@@ -234,20 +220,22 @@ def test_resizing_ctrl_z_and_ending_leave_the_terminal_clean() -> None:
     screen = pyte.Screen(80, 24)
     stream = pyte.ByteStream(screen)
 
-    def show_until(text: str) -> None:
-        until_s = time.monotonic() + WITHIN_S
-        while not any(text in line for line in screen.display):
-            assert time.monotonic() < until_s, screen.display
-            if select.select([master], [], [], 0.5)[0]:
-                stream.feed(os.read(master, 65536))
-
     def resize(width: int, height: int) -> None:
         ioctl(slave, TIOCSWINSZ, struct.pack("4H", height, width, 0, 0))
         screen.resize(height, width)
 
     resize(80, 24)
-    with shown_on(slave) as process:
-        show_until("pad up")
+    environment = {name: value for name, value in os.environ.items() if name not in ("COLUMNS", "LINES")}
+    with subprocess.Popen(
+        [sys.executable, "-c", SHOWN],
+        stdin=subprocess.PIPE,
+        stdout=slave,
+        stderr=subprocess.DEVNULL,
+        env={**environment, "TERM": "xterm-256color", "COLORTERM": "truecolor"},
+        # A group whose parent could continue it, so that Ctrl-Z can stop it.
+        preexec_fn=os.setpgrp,
+    ) as process:
+        stream.feed(read_until(master, b"pad up"))
         process.send_signal(signal.SIGTSTP)
         resize(60, 24)
         # A refresh starts at the top left; after two more everything has been redrawn.
