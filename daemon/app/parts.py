@@ -102,9 +102,9 @@ def _with_sinks(
     labeller = Labeller(emit, gestures, are_kept=kept is not None)
     if settings.live is not None:
         # It brings asyncio and websockets, which no daemon without a page needs.
-        from touchd.daemon.live.server import open_live_page
+        from touchd.daemon.live.server import LiveServer
 
-        live = open_live_page(settings, models, labeller if settings.live.label else None)
+        live = LiveServer(settings, models, labeller=labeller if settings.live.label else None)
         sinks.append(live)
     bridges: tuple[Bridge, ...] = ()
     if any(settings.bridges.values()):

@@ -115,11 +115,12 @@ def main(arguments: Sequence[str]) -> int:
 
 def _be_touched(live: LiveSettings, settings: Settings) -> int:
     """Run until Ctrl-C with a page on which viewers touch the simulated pad; returns 0."""
-    with_robot = msgspec.structs.replace(settings, robot=RobotSettings(url="tcp://localhost:9559"))
+    robot = RobotSettings(url="tcp://localhost:9559")
+    shown = msgspec.structs.replace(settings, live=live, robot=robot)
     rng = RandomState()
     with ExitStack() as closing:
-        page, urls = serve_page(closing, live, with_robot, Classifier.load())
-        show = _show(closing, settings, urls, live.host in EVERY_ADDRESS)
+        page = serve_page(closing, shown, Classifier.load())
+        show = _show(closing, settings, page.urls, live.host in EVERY_ADDRESS)
 
         def show_frame(pressure: Counts, sensor_ms: int) -> None:
             show.show_frame(pressure, sensor_ms)
@@ -128,7 +129,7 @@ def _be_touched(live: LiveSettings, settings: Settings) -> int:
         hand = PlayedHand(tuple(PLAYED), EVERY_S, rng, partial(_begins, show, settings))
         pad = SimulatedPad(rng, hand, page.touching, show_frame)
         port = closing.enter_context(LivePort(pad.scan, encoder_for(settings.sensor)))
-        show.note(f"live page: {' '.join(urls)}   Ctrl-C ends")
+        show.note(f"live page: {' '.join(page.urls)}   Ctrl-C ends")
         # Live predictions are not events: get them from the daemon's own page, whose address is in its log.
         inner = msgspec.structs.replace(settings, live=LiveSettings(port=0))
         _run(port, show, closing, inner, page)

@@ -12,9 +12,9 @@ from contextlib import ExitStack
 
 from numpy.random import RandomState
 
-from touchd.daemon.app.config import LiveSettings, Settings
+from touchd.daemon.app.config import Settings
 from touchd.daemon.commands.settings import add_settings, parsed, settings_of
-from touchd.daemon.live.address import listen, parse_address, urls_of
+from touchd.daemon.live.address import parse_address
 from touchd.daemon.playback.rig import encoder_for
 from touchd.drivers.fakes.fake_port import LivePort
 from touchd.drivers.fakes.hand import PlayedHand, SimulatedPad
@@ -36,19 +36,15 @@ def add_live(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def serve_page(
-    closing: ExitStack, live: LiveSettings, settings: Settings, model: Classifier | None
-) -> tuple[TouchPage, Sequence[str]]:
-    """Serve a page to touch a simulated pad; return it, and its addresses."""
-    # Imported only with --live, since these modules need its library.
-    from touchd.daemon.live.memory import Scene
+def serve_page(closing: ExitStack, settings: Settings, model: Classifier | None) -> TouchPage:
+    """Serve a page to touch a simulated pad."""
+    # Imported only with --live, since it needs its library.
     from touchd.daemon.live.touch import TouchPage
 
-    listening = closing.enter_context(listen(live))
-    page = TouchPage(listening, live, Scene(settings, model))
+    page = TouchPage(settings, model)
     closing.callback(page.stop, STOP_S)
     page.start()
-    return page, urls_of(live, listening.getsockname()[1])
+    return page
 
 
 def parser() -> argparse.ArgumentParser:
@@ -70,9 +66,9 @@ def main(arguments: Sequence[str]) -> int:
     pad = SimulatedPad(rng, hand)
     with ExitStack() as closing:
         if options.live is not None:
-            page, urls = serve_page(closing, parse_address(options.live, None), Settings(), None)
+            page = serve_page(closing, Settings(live=parse_address(options.live, None)), None)
             pad = SimulatedPad(rng, hand, page.touching, page.show_frame)
-            sys.stdout.write(f"live page: {' '.join(urls)}\n")
+            sys.stdout.write(f"live page: {' '.join(page.urls)}\n")
         port = closing.enter_context(LivePort(pad.scan, encoder_for(found.settings.sensor)))
         file = f" -c {shlex.quote(str(found.file))}" if found.file else ""
         sys.stdout.write(f"pad: {port.path}\nread it with: {program_name()} run{file} --port {port.path}\n")

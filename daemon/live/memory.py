@@ -2,7 +2,6 @@
 
 from collections import deque
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -18,19 +17,16 @@ from touchd.model.classifier import Classifier
 RECENT_FRAMES = 108
 
 
-class Scene(NamedTuple):
-    """The scene of a pad's page. settings: those of this pad alone. model: None if nothing is recognised."""
-
-    settings: Settings
-    model: Classifier | None
-
-
 class Memory(Latest):
-    """What a viewer who connects later gets: the latest of a pad, and its recent frames."""
+    """What a viewer who connects later gets: the latest of a pad, and its recent frames.
 
-    def __init__(self, scene: Scene) -> None:
+    settings: those of this pad alone. model: None if nothing is recognised.
+    """
+
+    def __init__(self, settings: Settings, model: Classifier | None) -> None:
         super().__init__()
-        self.scene = scene
+        self._settings = settings
+        self._model = model
         self._reported: deque[int] = deque(maxlen=TOUCHES)
         self._recent: deque[Frame] = deque(maxlen=RECENT_FRAMES)
         self._rest: list[float] = []
@@ -60,7 +56,7 @@ class Memory(Latest):
         page: stamp of the page's files; a page with another stamp reloads. pad: the name of this pad.
         touchable: whether viewers can touch the pad.
         """
-        settings, model = self.scene
+        settings, model = self._settings, self._model
         scene, labels = settings.scene, model.labels if model else ()
         words = words_of(settings)
         return {

@@ -6,7 +6,6 @@ little-endian: its sensor_ms (uint32), 64 counts (uint16), and the pad's place i
 
 import asyncio
 import logging
-import socket
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -20,7 +19,7 @@ from websockets.frames import CloseCode
 from touchd.daemon.app.config import LiveSettings, Settings
 from touchd.daemon.live.address import listen, own_names, urls_of
 from touchd.daemon.live.label import Labels
-from touchd.daemon.live.memory import Memory, Scene
+from touchd.daemon.live.memory import Memory
 from touchd.daemon.live.page import Page
 from touchd.daemon.live.viewers import Door, Viewers
 from touchd.daemon.path.events import Event, LivePrediction, RobotEvent
@@ -47,26 +46,27 @@ TakeMessage: TypeAlias = Callable[[ServerConnection, str | bytes], str]
 
 
 class LiveServer:
-    """A sink that serves the page on a listening socket; taking events and frames never blocks.
+    """A sink that serves the page; taking events and frames never blocks. Raises LiveError.
 
-    touching: takes what viewers press on a simulated pad. labeller: takes what viewers on this computer say
-    that a touch was. Without either, viewers can send nothing.
+    models: of each pad, None if nothing is recognised. touching: takes what viewers press on a simulated pad.
+    labeller: takes what viewers on this computer say that a touch was. Without either, viewers can send
+    nothing.
     """
 
     def __init__(
         self,
-        listening: socket.socket,
-        settings: LiveSettings,
-        scenes: Mapping[str, Scene],
+        settings: Settings,
+        models: Mapping[str, Classifier | None],
         touching: TakeMessage | None = None,
         labeller: Labeller | None = None,
     ) -> None:
-        self.listening = listening
-        self._pads = {name: Memory(scene) for name, scene in scenes.items()}
+        live = settings.live or LiveSettings()
+        self.listening = listen(live)
+        self.urls = urls_of(live, self.listening.getsockname()[1])
+        self._pads = {name: Memory(pad, models[name]) for name, pad in settings.pads.items()}
         self._is_touchable = touching is not None
         self._take_message = Labels(labeller, self._pads).take if labeller else touching
-        self._page = Page(own_names(settings))
-        self._urls = urls_of(settings, listening.getsockname()[1])
+        self._page = Page(own_names(live))
         self._viewers = Viewers(self._state)
         self._items: DroppingQueue[Item] = DroppingQueue(CAPACITY, _may_drop)
         self._is_woken = False
@@ -82,7 +82,7 @@ class LiveServer:
         return self._items.dropped
 
     def start(self) -> None:
-        log.info("live page: %s", " ".join(self._urls))
+        log.info("live page: %s", " ".join(self.urls))
         self._thread.start()
 
     def put(self, item: Event | LivePrediction) -> None:
@@ -223,12 +223,3 @@ def encode_frame(frame: Frame, pad: int = 0) -> bytes:
 
 def encode_message(message: msgspec.Struct | dict[str, object]) -> str:
     return msgspec.json.encode(message).decode()
-
-
-def open_live_page(
-    settings: Settings, models: Mapping[str, Classifier], labeller: Labeller | None = None
-) -> LiveServer:
-    """Return the server of the configured live page; raises LiveError."""
-    assert settings.live is not None, "no live page is configured"
-    scenes = {name: Scene(pad, models[name]) for name, pad in settings.pads.items()}
-    return LiveServer(listen(settings.live), settings.live, scenes, labeller=labeller)

@@ -3,7 +3,6 @@
 import json
 import math
 import re
-import socket
 import threading
 import time
 from collections.abc import Hashable
@@ -15,12 +14,12 @@ import msgspec
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import connect
 
-from touchd.daemon.app.config import LiveSettings
-from touchd.daemon.live.memory import Scene
+from touchd.daemon.app.config import Settings
 from touchd.daemon.live.server import LiveServer
 from touchd.daemon.path.events import LivePrediction
 from touchd.drivers.fakes.pointers import Pointer, Size
 from touchd.drivers.frame import COLUMNS, DEFAULT_PAD, ROWS, Counts, Frame
+from touchd.model.classifier import Classifier
 
 MOST_POINTERS = 10
 # A page sends at least ten messages a second while it presses; after this long without one, it has let go.
@@ -91,14 +90,11 @@ class Touching:
 
 
 class TouchPage(LiveServer):
-    """The page of a simulated pad, served by this process.
+    """The page of a simulated pad, served by this process; without a model it shows the pad alone."""
 
-    listening: the socket to serve. pad: the pad's scene; without a model the page shows the pad alone.
-    """
-
-    def __init__(self, listening: socket.socket, settings: LiveSettings, pad: Scene) -> None:
+    def __init__(self, settings: Settings, model: Classifier | None) -> None:
         self.touching = Touching()
-        super().__init__(listening, settings, {DEFAULT_PAD: pad}, self.touching.take)
+        super().__init__(settings, {DEFAULT_PAD: model}, self.touching.take)
 
     def show_frame(self, counts: Counts, sensor_ms: int) -> None:
         self.put_frame(Frame(sensor_ms, time.monotonic(), counts), 0)

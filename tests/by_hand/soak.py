@@ -36,7 +36,7 @@ from touchd.daemon.app.config import LiveSettings, Settings
 from touchd.daemon.bridges.bridges import make_bridges
 from touchd.daemon.bridges.settings import MqttSettings
 from touchd.daemon.commands.settings import load_model
-from touchd.daemon.live.server import open_live_page
+from touchd.daemon.live.server import LiveServer
 from touchd.daemon.path.events import Event, TouchEnded, encode
 from touchd.daemon.path.pipeline import Pipeline
 from touchd.daemon.robot.sink import RobotSink
@@ -136,7 +136,7 @@ class Soak:
         self._link = RobotLink(RobotSettings(url=self.robot.url), open_session=self.robot.open_session)
         self._store = PromptStore(folder_of(self._path), TOUCHES_KEPT, description_of(settings.sensor))
         self._touch_sink = TouchSink({"pad": self._store})
-        self._live_sink = open_live_page(settings, {"pad": model})
+        self._live_sink = LiveServer(settings, {"pad": model})
         robot_sink = RobotSink(self._link)
         self.broker = Broker(folder)
         mqtt = MqttSettings(host="127.0.0.1", port=self.broker.port, discovery=None)

@@ -28,7 +28,7 @@ from touchd.daemon.app.config import ConfigError, LiveSettings, Settings
 from touchd.daemon.live import server, viewers
 from touchd.daemon.live.address import LiveError, is_own_host, listen, own_names, parse_address
 from touchd.daemon.live.label import is_here
-from touchd.daemon.live.memory import Memory, Scene
+from touchd.daemon.live.memory import Memory
 from touchd.daemon.live.page import FOLDER
 from touchd.daemon.live.server import CAPACITY, HANDSHAKE_S, MOST_CONNECTIONS, LiveServer
 from touchd.daemon.live.viewers import MOST_VIEWERS
@@ -92,7 +92,7 @@ def test_a_late_viewer_gets_the_current_state(served: Served, viewer: ClientConn
 
 
 def test_the_memory_for_late_viewers_is_bounded(served: Served) -> None:
-    memory = Memory(Scene(Settings(), served.models["pad"]))
+    memory = Memory(Settings(), served.models["pad"])
     for touch in range(1, 3 * TOUCHES):
         memory.put(TouchBegan(touch=touch, time=TIME, sensor_ms=0))
         for _ in range(2 * PREDICTIONS):

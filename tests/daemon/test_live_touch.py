@@ -21,8 +21,6 @@ from websockets.sync.client import connect
 
 from touchd.daemon.app.config import LiveSettings, Settings
 from touchd.daemon.live import touch
-from touchd.daemon.live.address import listen
-from touchd.daemon.live.memory import Scene
 from touchd.daemon.live.page import FOLDER
 from touchd.daemon.live.touch import Touching, TouchPage
 from touchd.drivers.fakes import hand as fake_hand
@@ -239,15 +237,14 @@ def test_a_message_that_is_not_a_touch_is_refused(message: str | bytes) -> None:
 
 @pytest.mark.parametrize(("message", "why"), [(TOUCH + 1000 * " ", "1009"), ("x", "not a touch")])
 def test_a_viewer_that_sends_something_else_is_disconnected(message: str, why: str) -> None:
-    with listen(LiveSettings(port=0)) as listening:
-        page = TouchPage(listening, LiveSettings(), Scene(Settings(), None))
-        page.start()
-        with connect(f"ws://127.0.0.1:{listening.getsockname()[1]}/stream") as viewer:
+    page = TouchPage(Settings(live=LiveSettings(port=0)), None)
+    page.start()
+    with connect(f"ws://127.0.0.1:{page.listening.getsockname()[1]}/stream") as viewer:
+        viewer.recv(timeout=WITHIN_S)
+        viewer.send(message)
+        with pytest.raises(ConnectionClosed, match=why):
             viewer.recv(timeout=WITHIN_S)
-            viewer.send(message)
-            with pytest.raises(ConnectionClosed, match=why):
-                viewer.recv(timeout=WITHIN_S)
-        page.stop(AT_ONCE_S)
+    page.stop(AT_ONCE_S)
 
 
 def test_a_viewer_who_leaves_or_hangs_stops_pressing(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,7 +14,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from touchd.daemon.app.config import LiveSettings, Settings
 from touchd.daemon.commands.settings import load_model
-from touchd.daemon.live.server import encode_frame, open_live_page
+from touchd.daemon.live.server import LiveServer, encode_frame
 from touchd.daemon.path.events import Event
 from touchd.daemon.sinks.labels import Labeller
 from touchd.drivers.frame import DEFAULT_PAD, Counts, Frame
@@ -37,7 +37,7 @@ class Served:
         self.models = dict.fromkeys(made.pads, classifier)
         self.labels: list[Event] = []
         labeller = Labeller(self._take, dict.fromkeys(made.pads, classifier.labels), are_kept=True)
-        self.sink = open_live_page(made, self.models, labeller if label else None)
+        self.sink = LiveServer(made, self.models, labeller=labeller if label else None)
         self.sink.start()
         self.port = self.sink.listening.getsockname()[1]
         self._frames = 0
