@@ -151,8 +151,7 @@ def _show(
     if not console.is_terminal or console.is_dumb_terminal:
         return PlainLines(settings)
     title, code = " ".join(urls) or "the daemon at work", qr_code(urls[0]) if is_for_phones else ""
-    view = View(title, words_of(settings), settings.scene.answer_at_frames, console, code)
-    return closing.enter_context(view)
+    return closing.enter_context(View(title, settings, console=console, card=code))
 
 
 def _run(

@@ -138,7 +138,7 @@ def _show_in_terminal(service: Service, settings: Settings, page: str, closing: 
 
     (name, first), *_ = settings.pads.items()
     title = f"{first.sensor.port} · {page}" if page else first.sensor.port
-    view = View(title, words_of(settings), first.scene.answer_at_frames, pad=name)
+    view = View(title, first, name)
     closing.enter_context(view)
     service.tell(view)
     service.watchers.append(view)

@@ -1,6 +1,5 @@
 """Writes journals and recordings as MCAP, which Foxglove opens; needs the extra `mcap`."""
 
-import base64
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import IO, Any
@@ -79,7 +78,8 @@ def _image(counts: Counts, ms: int) -> dict[str, Any]:
         "height": ROWS,
         "encoding": "mono16",
         "step": COLUMNS * BYTES_PER_TAXEL,
-        "data": base64.b64encode(counts.astype("<u2").tobytes()).decode(),
+        # Encoded as base64.
+        "data": counts.astype("<u2").tobytes(),
     }
 
 

@@ -209,8 +209,7 @@ def _draw_trace(cells: Cells, trace: Sequence[tuple[float, float]], end_s: float
         eighths = round((load / peak) ** 0.5 * rows * 8)
         for row in range(rows):
             step = min(max(eighths - 8 * (rows - 1 - row), 0), 8)
-            if step:
-                cells[row][column] = (STEPS[step], TRACE)
+            cells[row][column] = (STEPS[step], TRACE)
 
 
 def _draw_flags(cells: Cells, flags: Sequence[Flag], end_s: float) -> None:

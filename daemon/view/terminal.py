@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     # The daemon reads keys and loads nothing that draws unless it is shown.
     from rich.console import Console
 
-LEAST_WIDTH, MOST_WIDTH = 40, 80
+MOST_WIDTH = 80
 POLL_S = 0.1
 
 
@@ -24,8 +24,8 @@ class Stopped(Exception):  # noqa: N818 - says what happened; it is handled, nev
 
 
 def text_width() -> int:
-    """Return the number of characters in a line: as wide as the terminal, within reason."""
-    return max(LEAST_WIDTH, min(MOST_WIDTH, get_terminal_size().columns))
+    """Return the number of characters in a line: as wide as the terminal, and easy to read."""
+    return min(MOST_WIDTH, get_terminal_size().columns)
 
 
 def ask(console: "Console", question: str, answers: Collection[str]) -> str:

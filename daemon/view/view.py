@@ -14,6 +14,7 @@ from rich.live import Live
 from rich.style import Style
 from rich.text import Text
 
+from touchd.daemon.app.config import Settings
 from touchd.daemon.app.log import LogGate
 from touchd.daemon.path.events import (
     UNCERTAIN,
@@ -25,7 +26,7 @@ from touchd.daemon.path.events import (
     SensorEvent,
     TouchBegan,
 )
-from touchd.daemon.robot.words import Vocabulary, name_of
+from touchd.daemon.robot.words import name_of, words_of
 from touchd.daemon.sinks.labels import Labeller, keys_of
 from touchd.daemon.sinks.touches import Latest, ReportedTouch
 from touchd.daemon.view.describe import describe
@@ -69,23 +70,21 @@ NOTE_ROWS = 3
 class View:
     """A sink that draws events, frames and notes. Thread-safe.
 
-    words: display names of gestures. answer_at_frames: the scene's marks. console: standard output by
-    default. card: lines to show if there is room. pad: the pad shown.
+    settings: of the shown pad. console: standard output by default. card: lines to show if there is room.
     labeller: takes what a person says, by a key, that the touch on the screen was; None if nobody can.
     """
 
     def __init__(
         self,
         title: str,
-        words: Vocabulary,
-        answer_at_frames: Sequence[int],
+        settings: Settings,
+        pad: str = DEFAULT_PAD,
         console: Console | None = None,
         card: str = "",
-        pad: str = DEFAULT_PAD,
     ) -> None:
         self._title = title
-        self._words = words
-        self._marks_s = [frames / FRAME_RATE_HZ for frames in answer_at_frames]
+        self._words = words_of(settings)
+        self._marks_s = [frames / FRAME_RATE_HZ for frames in settings.scene.answer_at_frames]
         self._card = card.splitlines()
         self._shown_pad = pad
         self._console = console or Console()

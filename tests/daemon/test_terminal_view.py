@@ -31,7 +31,6 @@ from touchd.daemon.view.view import View
 from touchd.drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, Frame
 
 SIZES = [(10, 5), (1, 1), (60, 24), (80, 24), (100, 30), (120, 40), (200, 60), (40, 16), (30, 8)]
-MARKS = (54, 81, 144)
 
 
 # Shows a view until its input ends.
@@ -40,8 +39,7 @@ import sys
 from touchd.daemon.app.config import Settings
 from touchd.daemon.path.events import SensorEvent
 from touchd.daemon.view.view import View
-from touchd.daemon.robot.words import words_of
-with View("a title", words_of(Settings()), (54, 81, 144)) as view:
+with View("a title", Settings()) as view:
     view.put(SensorEvent(state="up", time=""))
     sys.stdin.read()
 print("gone")
@@ -61,7 +59,7 @@ def view_of(
 ) -> tuple[View, Console]:
     colour: dict[str, Any] = {"color_system": colours, "force_terminal": colours is not None}
     console = Console(file=io.StringIO(), width=width, height=height, **colour)
-    view = View("http://127.0.0.1:8054/", words_of(Settings(language=language)), MARKS, console)
+    view = View("http://127.0.0.1:8054/", Settings(language=language), console=console)
     return view, console
 
 
