@@ -49,7 +49,7 @@ def os_errors_as(kind: type[TouchdError], what: str, advice: str = "") -> Iterat
     try:
         yield
     except OSError as error:
-        raise kind(f"{what} ({error.strerror}){advice and f'; {advice}'}") from error
+        raise kind(f"{what} ({reason(error)}){advice and f'; {advice}'}") from error
 
 
 class PathError(TouchdError):

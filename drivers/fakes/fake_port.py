@@ -24,7 +24,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.drivers.errors import TouchdError
+from touchd.drivers.errors import TouchdError, os_errors_as
 from touchd.drivers.frame import FRAME_RATE_HZ, Counts
 from touchd.drivers.recording import Stream
 
@@ -48,12 +48,8 @@ class _FakeLine(ABC):
     def __init__(self) -> None:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="touchd-fake-port", daemon=True)
-        try:
+        with os_errors_as(FakePortError, "no pseudo-terminal for the simulated pad", "is /dev/pts mounted?"):
             self._master, slave = pty.openpty()
-        except OSError as error:
-            raise FakePortError(
-                f"no pseudo-terminal for the simulated pad ({error}); is /dev/pts mounted?"
-            ) from error
         tty.setraw(slave)
         # Linux reuses the numbers of ptys: a reader that looks for its lost pad by number would open, and
         # disturb, another program's terminal.
@@ -96,6 +92,13 @@ class _FakeLine(ABC):
     def _has_reader(self) -> bool:
         return not self._hangup.poll(0)
 
+    def _discards_input(self) -> bool:
+        """Take what a reader has sent; whether one has discarded its input since this was last asked."""
+        try:
+            return bool(os.read(self._master, 4096)[0] & termios.TIOCPKT_FLUSHREAD)
+        except OSError:
+            return False
+
 
 class LivePort(_FakeLine):
     """Sends a frame 54 times a second; frames that nobody reads are lost, as with a real pad.
@@ -104,9 +107,8 @@ class LivePort(_FakeLine):
     """
 
     def __init__(self, scan: Callable[[int], Counts], encode: Callable[[Counts, int], bytes]) -> None:
+        self._scan, self._encode = scan, encode
         super().__init__()
-        self._scan = scan
-        self._encode = encode
 
     def _run(self) -> None:
         begun_s = time.monotonic()
@@ -116,13 +118,11 @@ class LivePort(_FakeLine):
                 return
             sensor_ms = round(1000 * elapsed_s)
             counts = self._scan(sensor_ms)
-            if self._has_reader():
-                # A reader that does not keep up loses bytes.
-                with suppress(OSError):
-                    os.write(self._master, self._encode(counts, sensor_ms))
-            # What a reader sends is discarded.
+            # A reader that does not keep up loses bytes; what one sends is discarded.
             with suppress(OSError):
-                os.read(self._master, 4096)
+                if self._has_reader():
+                    os.write(self._master, self._encode(counts, sensor_ms))
+            self._discards_input()
 
 
 class FakePort(_FakeLine):
@@ -142,13 +142,9 @@ class FakePort(_FakeLine):
         speed: float = 1.0,
         loop: bool = False,
     ) -> None:
-        self._stream = stream
-        self._encode = encode
-        self._speed = speed
-        self._loop = loop
+        self._stream, self._encode, self._speed, self._loop = stream, encode, speed, loop
         self.sent_s: NDArray[np.float64] = np.full(len(stream.counts), np.nan)
-        self._finished = threading.Event()
-        self._drained = False
+        self._finished, self._drained = threading.Event(), False
         super().__init__()
 
     def wait(self, timeout_s: float) -> bool:
@@ -167,8 +163,7 @@ class FakePort(_FakeLine):
         begin_s = time.monotonic()
         for index, sensor_ms, elapsed_ms in self._schedule():
             packet = self._encode(self._stream.counts[index], sensor_ms)
-            self._stop.wait(max(0.0, begin_s + elapsed_ms / 1000 / self._speed - time.monotonic()))
-            if self._stop.is_set():
+            if self._stop.wait(max(0.0, begin_s + elapsed_ms / 1000 / self._speed - time.monotonic())):
                 return
             self._send(index, packet)
 
@@ -177,15 +172,12 @@ class FakePort(_FakeLine):
         period_ms = round(1000 / FRAME_RATE_HZ)
         steps_ms = np.diff(self._stream.sensor_ms)
         # If the clock restarts, time still runs forward.
-        due_ms = np.concatenate([[0], np.cumsum(np.where(steps_ms < 0, period_ms, steps_ms))])
-        frames = len(due_ms)
-        length_ms = int(due_ms[-1]) + period_ms
-        number = 0
-        while number < frames or self._loop:
-            turn, index = divmod(number, frames)
-            later_ms = turn * length_ms
-            yield index, int(self._stream.sensor_ms[index]) + later_ms, int(due_ms[index]) + later_ms
-            number += 1
+        due_ms = np.concatenate([[0], np.cumsum(np.where(steps_ms < 0, period_ms, steps_ms))]).tolist()
+        stamps_ms = self._stream.sensor_ms.tolist()
+        for turn in itertools.count() if self._loop else [0]:
+            later_ms = turn * (due_ms[-1] + period_ms)
+            for index, (stamp_ms, elapsed_ms) in enumerate(zip(stamps_ms, due_ms, strict=True)):
+                yield index, stamp_ms + later_ms, elapsed_ms + later_ms
 
     def _send(self, index: int, packet: bytes) -> None:
         sent = 0
@@ -193,49 +185,37 @@ class FakePort(_FakeLine):
             now_s = time.monotonic()
             try:
                 sent += os.write(self._master, packet[sent:])
+                self.sent_s[index] = now_s
             except BlockingIOError:
                 self._stop.wait(POLL_S)
-            else:
-                self.sent_s[index] = now_s
 
     def _await_reader(self) -> bool:
         """Wait until a reader has opened the port and discarded what waited in it; False when stopped."""
         settled_s = math.inf
-        while not self._stop.is_set():
+        while not self._stop.wait(POLL_S):
             # Ask before looking for a reader, to forget what an earlier one did.
             has_discarded = self._discards_input()
             now_s = time.monotonic()
             settled_s = min(settled_s, now_s + SETTLE_S) if self._has_reader() else math.inf
             if settled_s < math.inf and (has_discarded or now_s >= settled_s):
                 return True
-            self._stop.wait(POLL_S)
         return False
-
-    def _discards_input(self) -> bool:
-        """Whether the reader has discarded its input since this was last asked."""
-        try:
-            return bool(os.read(self._master, 1024)[0] & termios.TIOCPKT_FLUSHREAD)
-        except OSError:
-            return False
 
     def _await_empty(self) -> bool:
         """Wait until the reader has taken every byte; False when it left or the port was stopped."""
         full_s = time.monotonic()
-        while not self._stop.is_set() and self._has_reader():
+        while self._has_reader() and not self._stop.wait(POLL_S):
             now_s = time.monotonic()
             if self._waiting_bytes():
                 full_s = now_s
             elif now_s - full_s >= EMPTY_FOR_S:
                 return True
-            self._stop.wait(POLL_S)
         return False
 
     def _waiting_bytes(self) -> int:
         """Bytes in the port that the reader has not taken yet."""
+        waiting = array.array("i", [0])
         slave = os.open(self.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-        try:
-            waiting = array.array("i", [0])
-            fcntl.ioctl(slave, termios.FIONREAD, waiting)
-            return waiting[0]
-        finally:
-            os.close(slave)
+        fcntl.ioctl(slave, termios.FIONREAD, waiting)
+        os.close(slave)
+        return waiting[0]

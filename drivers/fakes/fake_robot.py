@@ -40,8 +40,7 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Be a robot until SIGINT or SIGTERM; returns 0.
 
-    Prints {"listening": url} once all services are there, and every Call. Raises RobotError with one line for
-    what the user must change.
+    Prints {"listening": url} once all services are there, and every Call. Raises RobotError.
     """
     options = parser().parse_args(arguments)
     stop = threading.Event()
@@ -49,13 +48,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         signal.signal(number, lambda *_: stop.set())
     if options.follow_stdin:
         threading.Thread(target=_stop_at_end_of_stdin, args=(stop,), daemon=True).start()
-    out = sys.stdout.buffer
     writing = threading.Lock()
 
     def report(thing: Call | dict[str, str]) -> None:
         with writing:
-            out.write(msgspec.json.encode(thing) + b"\n")
-            out.flush()
+            sys.stdout.buffer.write(msgspec.json.encode(thing) + b"\n")
+            sys.stdout.buffer.flush()
 
     services = fake_services(report, call_s=options.call_s, say_s=options.say_s, without=options.without)
     with os_errors_as(RobotError, f"cannot listen on port {options.port}", "choose another with --port"):

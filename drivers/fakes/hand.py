@@ -7,7 +7,7 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
-from typing import NamedTuple, Protocol, TypeAlias
+from typing import Protocol, TypeAlias
 
 import numpy as np
 from numpy.random import RandomState
@@ -18,53 +18,38 @@ from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS, Counts
 
 # Measured on HAART at rest and under load: noise per taxel and frame, spread of the taxels' sensitivity (as a
 # logarithm), and the share of a row's pressure that leaks to each of its taxels.
-NOISE_COUNTS = 0.75
-UNEVENNESS = 0.35
-ROW_LEAK = 0.02
+NOISE_COUNTS, UNEVENNESS, ROW_LEAK = 0.75, 0.35, 0.02
 # Longest touch of the hand, and the shortest pause, which ends a touch.
 LONGEST_TOUCH_S, SHORTEST_PAUSE_S = 3.8, 1.5
 # The hand resumes when no pointer has been at the pad for this long.
 ALONE_S = 20.0
-# People move up and down the pad: in 313 of 380 recorded strokes and 253 of 260 seconds of rubbing. Deviation
-# from that, in radians.
+# Deviation, in radians, from up and down the pad, the way of 313 of 380 recorded strokes.
 ASLANT = 0.35
 MIDDLE = (ROWS - 1) / 2
 
 # Where the hand is, in taxels, at a time in seconds; None: off the pad.
 Path: TypeAlias = Callable[[float], tuple[float, float] | None]
 Range: TypeAlias = tuple[float, float]
+# Draws a path.
+Draw: TypeAlias = Callable[[RandomState], Path]
 
 
 class Fabric:
-    """One pad, with a rest level and a sensitivity for each taxel.
+    """One pad, with a rest level and a sensitivity for each taxel."""
 
-    cells: rows and columns. full_scale: its largest value.
-    """
-
-    def __init__(
-        self, rng: RandomState, cells: tuple[int, int] = (ROWS, COLUMNS), full_scale: int = MAX_COUNT
-    ) -> None:
-        rows, self._columns = cells
+    def __init__(self, rng: RandomState) -> None:
         self._rng = rng
-        self._full_scale = full_scale
-        self._rest = rng.gamma(2.0, 1.0, (rows, 1)) + rng.uniform(-0.5, 0.5, cells)
-        self._sensitivity = rng.lognormal(0.0, UNEVENNESS, cells)
+        self._rest = rng.gamma(2.0, 1.0, (ROWS, 1)) + rng.uniform(-0.5, 0.5, (ROWS, COLUMNS))
+        self._sensitivity = rng.lognormal(0.0, UNEVENNESS, (ROWS, COLUMNS))
 
     def read(self, pressed: NDArray[np.float64]) -> Counts:
-        """Return the pad's counts under a pressure (..., rows, columns), uint16, up to the full scale."""
+        """Return the pad's counts under a pressure (..., 8, 8), uint16."""
         loaded = pressed * self._sensitivity
-        leak = ROW_LEAK * loaded.sum(axis=-1, keepdims=True) * (COLUMNS / self._columns)
+        leak = ROW_LEAK * loaded.sum(axis=-1, keepdims=True)
         noise = NOISE_COUNTS * self._rng.normal(size=pressed.shape)
-        sent = (self._rest + loaded + leak + noise) * (self._full_scale / MAX_COUNT)
-        counts: Counts = np.rint(sent).clip(0, self._full_scale).astype(np.uint16)
+        sent = self._rest + loaded + leak + noise
+        counts: Counts = np.rint(sent).clip(0, MAX_COUNT).astype(np.uint16)
         return counts
-
-
-class Gesture(NamedTuple):
-    """A gesture, with what touches and its paths, each a different one."""
-
-    size: Size
-    path: Callable[[RandomState], Path]
 
 
 def middle(rng: RandomState) -> tuple[float, float]:
@@ -92,7 +77,7 @@ def pat(rng: RandomState) -> Path:
 
 def stroke(
     down_s: Range, every_s: Range, length: Range, heading: Callable[[RandomState], float] = up_or_down
-) -> Callable[[RandomState], Path]:
+) -> Draw:
     """Return strokes, always the same way. Durations, periods and lengths in taxels are from these ranges."""
 
     def make(rng: RandomState) -> Path:
@@ -112,9 +97,7 @@ def stroke(
     return make
 
 
-def to_and_fro(
-    pace_hz: Range, reach: Range, heading: Callable[[RandomState], float] = up_or_down
-) -> Callable[[RandomState], Path]:
+def to_and_fro(pace_hz: Range, reach: Range, heading: Callable[[RandomState], float] = up_or_down) -> Draw:
     """Return back-and-forth paths; pace in Hz and reach in taxels are from these ranges."""
 
     def make(rng: RandomState) -> Path:
@@ -131,13 +114,13 @@ def to_and_fro(
 
 
 # With the paces and ways of HAART's recordings. No hand here tickles as people do, so none is played.
-PLAYED: Mapping[str, Gesture] = {
-    "constant": Gesture("hand", constant),
-    "pat": Gesture("hand", pat),
-    "rub": Gesture("hand", to_and_fro((1.2, 2.2), (0.7, 1.9))),
-    "scratch": Gesture("fingertips", to_and_fro((2.5, 4.0), (0.4, 0.9))),
+PLAYED: Mapping[str, tuple[Size, Draw]] = {
+    "constant": ("hand", constant),
+    "pat": ("hand", pat),
+    "rub": ("hand", to_and_fro((1.2, 2.2), (0.7, 1.9))),
+    "scratch": ("fingertips", to_and_fro((2.5, 4.0), (0.4, 0.9))),
     # About once a second, over half of the pad or more.
-    "stroke": Gesture("hand", stroke((0.4, 0.7), (0.85, 1.2), (4.0, 6.5))),
+    "stroke": ("hand", stroke((0.4, 0.7), (0.85, 1.2), (4.0, 6.5))),
 }
 
 
@@ -163,10 +146,8 @@ class PlayedHand:
         rng: RandomState,
         on_gesture: Callable[[str], None] = lambda gesture: None,
     ) -> None:
-        self._gestures = itertools.cycle(gestures)
-        self._every_s = every_s
-        self._rng = rng
-        self._on_gesture = on_gesture
+        self._gestures, self._every_s = itertools.cycle(gestures), every_s
+        self._rng, self._on_gesture = rng, on_gesture
         self._turn: Iterator[Pointer | None] = iter(())
 
     def pointer(self, is_wanted: bool) -> Pointer | None:
@@ -205,11 +186,8 @@ class SimulatedPad:
         people: Pointers | None = None,
         on_frame: Callable[[Counts, int], None] = lambda counts, sensor_ms: None,
     ) -> None:
-        self._fabric = Fabric(rng)
-        self._hands = PressingHands(rng)
-        self._hand = hand
-        self._people = people
-        self._on_frame = on_frame
+        self._fabric, self._hands = Fabric(rng), PressingHands(rng)
+        self._hand, self._people, self._on_frame = hand, people, on_frame
 
     def scan(self, sensor_ms: int) -> Counts:
         """Return the next frame of counts."""
@@ -217,6 +195,6 @@ class SimulatedPad:
         near_s = self._people.near_s if self._people else -math.inf
         if (own := self._hand.pointer(time.monotonic() - near_s > ALONE_S)) is not None:
             pointers[self] = own
-        counts = self._fabric.read(self._hands.frame(pointers).reshape(ROWS, COLUMNS))
+        counts = self._fabric.read(self._hands.frame(pointers))
         self._on_frame(counts, sensor_ms)
         return counts

@@ -1,22 +1,15 @@
 """Hands and fingertips that follow pointers: mouse, fingers or pens on the picture of a pad.
 
-A pointer shows where a hand is and when it is down, but not how firmly it presses. Here that follows from
-its speed, from how long it has been down and from what touches. It is set to HAART's training recordings on
-the uncovered pad, contact by contact; no value was fitted to a network's answers. Loads are sums over the
-pad, in counts above rest and noise:
+A pointer shows where a hand is and when it is down; how firmly it presses follows here from its speed, from
+how long it has been down and from what touches. It is set to the contacts in HAART's training recordings on
+the uncovered pad, and not to any network's answers. Loads are sums over the pad, in counts above rest:
 
-- A hand that lands in one place strikes. Recorded pats peak at 101 to 453 counts (10th and 90th percentile)
-  and touch 10 to 37 taxels; they last 4 to 7 frames. Palm and fingers do not land at once, so that a frame's
-  pattern correlates with the previous one by 0.62 to 0.98.
-- A stroke is even: its load is half of the peak after 2 frames, stays at about 100 to 140 counts and falls in
-  its last 6. Contacts are as heavy in their second half as in their first. Loads hardly depend on the speed.
-- A hand that strokes is long: 1.7 taxels along its way in the first third of the contact and 1.4 in the last,
-  1.75 across (standard deviations), in 10 to 42 taxels. Consecutive frames correlate by 0.86.
-- A hand that comes back presses more, and unevenly: recorded rubs are at 200 counts, and their load deviates
-  by 0.45 (as a logarithm), a third of it with the way, the rest at any time.
-- A resting hand presses down to 650 to 2500 counts.
-- Fingertips press with 60 counts when they tickle and with 160 to 190 when they scratch, with 0.2 of that as
-  they go back.
+- Pats last 4 to 7 frames, peak at 101 to 453 counts (10th and 90th percentile) and touch 10 to 37 taxels.
+  Palm and fingers do not land at once: consecutive frames correlate by 0.62 to 0.98.
+- Strokes reach half of their load in 2 frames, stay at 100 to 140 counts at any speed, end within 6 frames.
+  The hand is long: 1.7 taxels along its way at first, 1.4 at the end, 1.75 across (standard deviations).
+- Rubs are at 200 counts; their load deviates by 0.45 (as a logarithm), a third of it with the way.
+- A resting hand presses down to 650 to 2500 counts, fingertips that scratch with 160 to 190.
 """
 
 import math
@@ -35,56 +28,38 @@ Series: TypeAlias = NDArray[np.float64]
 Size: TypeAlias = Literal["hand", "fingertips", "finger"]
 
 FRAME_S = 1.0 / FRAME_RATE_HZ
-FINGER_WIDTH = 0.9
 # Limited, so that many viewers do not make frames late.
 MOST_PRESSES = 20
 # How long a resting and a moving hand take to come off.
 LIFT_S, GLIDE_S = 0.055, 0.2
-# In a frame: the share of the way to the pointer that a hand moves, and the share of a new speed and of a new
-# load that it takes on.
+# Share of the way to the pointer, of a new speed and of a new load that a hand takes on in a frame.
 FOLLOW, SPEED_SHARE, LOAD_SHARE = 0.6, 0.25, 0.5
-# A hand slower than this, in taxels a second, rests. After PAUSE_S it presses down, with the time constant
-# SINK_S.
-MOVING_SPEED = 1.2
-PAUSE_S, SINK_S = 0.25, 0.35
-# Time constant with which a moving hand presses more.
-DWELL_S = 0.45
+# A hand slower than this, in taxels a second, rests; after PAUSE_S it presses down. Time constants of
+# pressing down, and of pressing more while it moves.
+MOVING_SPEED, PAUSE_S, SINK_S, DWELL_S = 1.2, 0.25, 0.35, 0.45
 # A button closes before a hand would land: it lands once the pointer has moved by LANDS_AFTER taxels, after
-# LANDS_WITHIN frames, or when the button opens. A hand that has not moved then strikes: the load of the
-# following frames, as shares of the peak.
+# LANDS_WITHIN frames, or when the button opens. A hand that has not moved then strikes with its fingers: the
+# load of the following frames, as shares of the peak; the latest part, in frames; the share of the load that
+# spreads the hand, as the skin has no time to give way.
 LANDS_AFTER, LANDS_WITHIN = 0.1, 5
-STRIKE = (0.6, 1.0, 0.6, 0.35, 0.15)
-# The parts of a hand do not strike at once; the largest delay, in frames.
-LATEST_PART = 1.5
-# A strike is the fingers'.
-STRIKE_ROLLED = 1.0
-# Share of a strike's load that spreads the hand: a strike is over before the skin has given way.
-STRIKE_SPREADS = 0.3
-# A hand that moves as it lands turns into its way up to this frame. People lay it along the pad's sides,
-# askew by this angle in radians.
+STRIKE, LATEST_PART, STRIKE_SPREADS = (0.6, 1.0, 0.6, 0.35, 0.15), 1.5, 0.3
+# Up to this frame a hand that moves as it lands turns into its way, askew by this angle in radians.
 AIMED_FRAME, ASKEW = 6, 0.15
-# From FLAT_WAY taxels on, a stroking hand rolls from its palm onto its fingers. After ROLLED_WAY more it has,
-# and has lost the share ROLLED_LIGHTER of its load.
+# A stroking hand rolls from its palm onto its fingers from FLAT_WAY taxels on. After ROLLED_WAY more it has,
+# and has lost the share ROLLED_LIGHTER of its load. One that rests, or has come back by TURN taxels, has
+# rolled by REST_ROLLED. ROLL_SHARE: of the way to such a state in a frame.
 FLAT_WAY, ROLLED_WAY, ROLLED_LIGHTER = 2.5, 2.5, 0.33
-# A hand that rests, or has come back by TURN taxels, has rolled this far: recorded ones spread 2.2 to 2.5
-# taxels, stroking ones 2.6. Share of the way to such a state in a frame.
 REST_ROLLED, TURN, ROLL_SHARE = 0.7, 0.5, 0.2
-# A hand that goes to and fro presses more as it pulls towards the wrist, and most from this speed on, in
-# taxels a second.
+# From this speed on, in taxels a second, a hand that pulls towards the wrist presses most.
 PULL_SPEED = 8.0
-# Deviation of a press's load from that of others, as a logarithm.
-FIRMNESS = 0.25
-# Fabric sticks and slips under a moving hand: deviation of its load, as a logarithm, for the whole hand and
-# for each part, and the share that the next frame keeps, at least. It keeps more of it the slower it is, by
-# 1/e at SLIP_SPEED, in taxels a second: recorded strokes correlate by 0.83 from frame to frame at 7 taxels a
-# second, and by 0.91 at 2. The same for the tremor of a hand that rests.
-SLIP, SLIP_OF_PART, SLIP_KEPT, SLIP_SPEED = 0.05, 0.5, 0.5, 13.0
-TREMOR, TREMOR_KEPT = 0.05, 0.98
-# A hand that goes to and fro presses unevenly, at most times of its way: the deviation of its load, as a
-# logarithm, and the share that the next frame keeps.
-SWAY, SWAY_KEPT = 0.3, 0.9
-# A part touches more of the pad the deeper it sinks in: its radius grows with this power of the depth. Below
-# LEAST_RADIUS of its radius at rest it would fall between the taxels.
+# Deviation of a press's load from that of others, as a logarithm; of a moving hand's load, as fabric sticks
+# and slips, and of each of its parts; of a resting hand's; of one that goes to and fro.
+FIRMNESS, SLIP, SLIP_OF_PART, TREMOR, SWAY = 0.25, 0.05, 0.5, 0.05, 0.3
+# The share of these that the next frame keeps. A moving hand keeps more the slower it is, by 1/e at
+# SLIP_SPEED: recorded strokes correlate from frame to frame by 0.83 at 7 taxels a second, and by 0.91 at 2.
+SLIP_KEPT, SLIP_SPEED, TREMOR_KEPT, SWAY_KEPT = 0.5, 13.0, 0.98, 0.9
+# A part's radius grows with this power of the depth, and is at least this share of its radius at rest, below
+# which it would fall between the taxels.
 SPREADS, LEAST_RADIUS = 0.2, 0.4
 
 
@@ -111,7 +86,7 @@ class Part(NamedTuple):
 
 def fingers(count: int) -> list[float]:
     """Return the places of a hand's fingers across it, in taxels."""
-    return [FINGER_WIDTH * (finger - (count - 1) / 2) for finger in range(count)]
+    return [0.9 * (finger - (count - 1) / 2) for finger in range(count)]
 
 
 @dataclass(frozen=True)
@@ -171,7 +146,7 @@ class PressingHands:
             total += self._down[key].follow(pointer)
         for press in self._lifting:
             total += press.lift()
-        self._lifting = [press for press in self._lifting if press.is_touching]
+        self._lifting = [press for press in self._lifting if press.on > 0.0]
         return total
 
 
@@ -196,22 +171,16 @@ class _Press:
         # The largest distance from where it landed; how far it has rolled onto its fingers, 0 to 1.
         self._way = self._rolled = 0.0
         self._has_turned = False
-        # Whether it moved as it landed.
-        self._glides = False
         # Frames before and since it has landed.
         self._hovered = self._frames = 0
-        self._load = self._still_s = 0.0
-        self._on = 1.0
-        # When each part strikes, in frames after the first; frames since the strike began, None before it.
+        self._load = self._still_s = self._sway = 0.0
+        # How much of it is on the pad, 0 to 1.
+        self.on = 1.0
+        # When each part strikes, in frames after the first; frames since then, None if it moved as it landed.
         self._delays = rng.uniform(0.0, LATEST_PART, count)
         self._struck: int | None = None
         # Of the whole hand, and of each part.
         self._noise = rng.normal(size=1 + count)
-        self._sway = 0.0
-
-    @property
-    def is_touching(self) -> bool:
-        return self._on > 0.0
 
     @property
     def _speed(self) -> float:
@@ -240,7 +209,7 @@ class _Press:
         """Come off, once a strike is over; a moving hand glides off."""
         self._press(strikes=True)
         if self._struck is None or self._struck >= len(STRIKE):
-            self._on = max(0.0, self._on - FRAME_S / (GLIDE_S if self._speed else LIFT_S))
+            self.on = max(0.0, self.on - FRAME_S / (GLIDE_S if self._speed else LIFT_S))
             self._at = self._at + self._velocity * FRAME_S
         return self._pressure()
 
@@ -262,10 +231,8 @@ class _Press:
 
     def _press(self, *, strikes: bool) -> None:
         """Go on by a frame; in the first one, land. strikes: how it lands."""
-        if self._frames == 0:
-            self._glides = not strikes
-            if strikes:
-                self._struck, self._rolled = -1, STRIKE_ROLLED
+        if self._frames == 0 and strikes:
+            self._struck, self._rolled = -1, 1.0
         if self._struck is not None:
             self._struck += 1
         self._frames += 1
@@ -278,13 +245,13 @@ class _Press:
         if pointer.pressure is not None:
             # Taken for depth; half of a device's range is as firm as a hand that has moved for long.
             return (2.0 * pointer.pressure) ** 2 * shape.firm
-        if self._speed or (self._glides and self._frames <= AIMED_FRAME):
+        if self._speed or (self._struck is None and self._frames <= AIMED_FRAME):
             if self._has_turned:
                 self._sway = SWAY_KEPT * self._sway + math.sqrt(1.0 - SWAY_KEPT**2) * self._rng.normal()
                 return moving * math.exp(SWAY * self._sway) * (1.0 + shape.pulls * self._pull())
             return moving * (1.0 - ROLLED_LIGHTER * self._rolled)
         if self._still_s < PAUSE_S:
-            return self._load if self._glides else shape.struck
+            return self._load if self._struck is None else shape.struck
         sunk = 1.0 - np.exp(-(self._still_s - PAUSE_S) / SINK_S)
         return float(moving + (shape.still - moving) * sunk)
 
@@ -306,7 +273,7 @@ class _Press:
         whole, of_part = (SLIP, SLIP_OF_PART) if self._speed else (TREMOR, TREMOR)
         uneven = np.exp(whole * self._noise[0] + of_part * self._noise[1:])
         # Force grows with the square of the depth.
-        each = self._on**2 * self._firmness * uneven
+        each = self.on**2 * self._firmness * uneven
         shares = self._shares * np.where(self._parts[:, 0] < 0.0, 1.0 - self._rolled, 1.0)
         strike = self._strike()
         loads = (self._load + strike) * shares / shares.sum() * each

@@ -8,21 +8,8 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any, NamedTuple
 
+from touchd.drivers.robot import wire
 from touchd.drivers.robot.values import read, write
-from touchd.drivers.robot.wire import (
-    AUTH_STATE,
-    AUTHENTICATE,
-    CALL,
-    CAPABILITIES,
-    DONE,
-    ERROR,
-    FIND_SERVICE,
-    HEADER,
-    LIST_METHODS,
-    MAGIC,
-    MOST_BYTES,
-    REPLY,
-)
 
 DIRECTORY, FIRST_ACTION = 1, 100
 SIGNATURES = {str: "s", int: "i", float: "f", bool: "b", None: "v"}
@@ -45,7 +32,7 @@ class Action(NamedTuple):
 COMMON = {
     0: Action("registerEvent", "(IIL)", "L", lambda *_: 0),
     1: Action("unregisterEvent", "(IIL)", "v", lambda *_: None),
-    LIST_METHODS: Action("metaObject", "(I)", META_OBJECT, lambda _: None),
+    wire.LIST_METHODS: Action("metaObject", "(I)", META_OBJECT, lambda _: None),
 }
 
 
@@ -80,26 +67,27 @@ class QiServer:
         """Answer one client's calls, one after the other, until it leaves or sends what is no message."""
         with client, suppress(OSError, struct.error):
             client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            while header := client.recv(HEADER.size, socket.MSG_WAITALL):
-                magic, number, size, version, kind, _, *target = HEADER.unpack(header)
-                if magic != MAGIC or size > MOST_BYTES:
+            while header := client.recv(wire.HEADER.size, socket.MSG_WAITALL):
+                magic, number, size, version, kind, _, *target = wire.HEADER.unpack(header)
+                if magic != wire.MAGIC or size > wire.MOST_BYTES:
                     return
                 payload = client.recv(size, socket.MSG_WAITALL) if size else b""
-                if kind != CALL:
+                if kind != wire.CALL:
                     continue
                 try:
-                    kind, answer = REPLY, self._answer(target, payload)
+                    kind, answer = wire.REPLY, self._answer(target, payload)
                 except (RuntimeError, LookupError, ValueError, struct.error) as error:
-                    kind, answer = ERROR, write("m", str(error))
-                client.sendall(HEADER.pack(MAGIC, number, len(answer), version, kind, 0, *target) + answer)
+                    kind, answer = wire.ERROR, write("m", str(error))
+                header = wire.HEADER.pack(wire.MAGIC, number, len(answer), version, kind, 0, *target)
+                client.sendall(header + answer)
 
     def _answer(self, target: list[int], payload: bytes) -> bytes:
         """Return the payload of the answer to a call; raises what the robot answers with an error."""
-        if tuple(target) == AUTHENTICATE:
-            return write("{sm}", {**CAPABILITIES, AUTH_STATE: DONE})
+        if tuple(target) == wire.AUTHENTICATE:
+            return write("{sm}", {**wire.CAPABILITIES, wire.AUTH_STATE: wire.DONE})
         service, _, number = target
         actions = self._objects[service]
-        if number == LIST_METHODS:
+        if number == wire.LIST_METHODS:
             signals = SIGNALS if service == DIRECTORY else {}
             methods: Mapping[int, object] = {
                 each: (each, action.gives, action.name, action.takes, "", [], "")
@@ -115,12 +103,8 @@ class QiServer:
                 raise RuntimeError(f"Cannot find service '{name}' in index")
             return (name, self._numbers[name], MACHINE, 1, [self.url], "", "")
 
-        def services() -> object:
-            return [service(name) for name in self._numbers]
-
         return {
-            FIND_SERVICE[2]: Action("service", "(s)", SERVICE_INFO, service),
-            101: Action("services", "()", f"[{SERVICE_INFO}]", services),
+            wire.FIND_SERVICE[2]: Action("service", "(s)", SERVICE_INFO, service),
             108: Action("machineId", "()", "s", lambda: MACHINE),
         }
 

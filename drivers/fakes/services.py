@@ -25,16 +25,13 @@ def as_kept(value: object) -> object:
 
     ALMemory's integers and floats have four bytes: larger integers are refused, floats lose precision.
     """
-    if isinstance(value, (bool, str)):
+    if isinstance(value, bool | str):
         return value
-    if isinstance(value, int):
-        if not -(2**31) <= value < 2**31:
-            raise ValueError(f"{value} does not fit in 4 bytes")
-        return value
-    if isinstance(value, float):
+    if isinstance(value, int | float):
+        kind = struct.Struct("<f" if isinstance(value, float) else "<i")
         try:
-            return struct.unpack("<f", struct.pack("<f", value))[0]
-        except OverflowError as error:
+            return kind.unpack(kind.pack(value))[0]
+        except (struct.error, OverflowError) as error:
             raise ValueError(f"{value} does not fit in 4 bytes") from error
     if isinstance(value, Sequence):
         return [as_kept(part) for part in value]
@@ -45,19 +42,17 @@ class _Service:
     """A service with NAOqi's name that records its calls; each takes call_s seconds."""
 
     def __init__(self, note: Callable[[Call], None], call_s: float) -> None:
-        self._note_call = note
-        self._call_s = call_s
+        self._note_call, self._call_s = note, call_s
 
-    def _note(self, method: str, *arguments: object, why: str = "") -> None:
-        service = type(self).__name__
+    def _note(self, method: str, *arguments: object, refused: str = "") -> None:
+        """Record a call, and take the time that it takes; one that is refused raises RuntimeError."""
+        service, now_s = type(self).__name__, time.time()
         self._note_call(
-            Call(service=service, method=method, arguments=arguments, time_s=time.time(), refused=why)
+            Call(service=service, method=method, arguments=arguments, time_s=now_s, refused=refused)
         )
-        time.sleep(0.0 if why else self._call_s)
-
-    def _refuse(self, method: str, arguments: tuple[object, ...], why: str) -> RuntimeError:
-        self._note(method, *map(str, arguments), why=why)
-        return RuntimeError(f"{type(self).__name__}.{method}: {why}")
+        if refused:
+            raise RuntimeError(f"{service}.{method}: {refused}")
+        time.sleep(self._call_s)
 
 
 class ALMemory(_Service):
@@ -69,22 +64,21 @@ class ALMemory(_Service):
 
     def raiseEvent(self, key: str, value: object) -> None:  # noqa: N802 - NAOqi's names, here and below
         """Store a value; nobody subscribes to it here."""
+        refused = ""
         try:
-            kept = as_kept(value)
+            self._data[key] = value = as_kept(value)
         except ValueError as error:
-            raise self._refuse("raiseEvent", (key, value), str(error)) from error
-        self._data[key] = kept
-        self._note("raiseEvent", key, kept)
+            refused = str(error)
+        self._note("raiseEvent", key, value, refused=refused)
 
     def getData(self, key: str) -> object:  # noqa: N802
         if key not in self._data:
-            raise self._refuse("getData", (key,), f"no data named {key}")
+            self._note("getData", key, refused=f"no data named {key}")
         return self._data[key]
 
     def removeData(self, key: str) -> None:  # noqa: N802
-        if self._data.pop(key, None) is None:
-            raise self._refuse("removeData", (key,), f"no data named {key}")
-        self._note("removeData", key)
+        there = self._data.pop(key, None) is not None
+        self._note("removeData", key, refused="" if there else f"no data named {key}")
 
 
 class ALTextToSpeech(_Service):
@@ -102,9 +96,9 @@ class ALBehaviorManager(_Service):
     """Behaviours are installed when their name looks like a path."""
 
     def runBehavior(self, behavior: str) -> None:  # noqa: N802
-        if "/" not in behavior:
-            raise self._refuse("runBehavior", (behavior,), f"no behavior named {behavior}")
-        self._note("runBehavior", behavior)
+        self._note(
+            "runBehavior", behavior, refused="" if "/" in behavior else f"no behavior named {behavior}"
+        )
 
 
 class ALLeds(_Service):
