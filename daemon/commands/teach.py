@@ -68,8 +68,7 @@ def main(arguments: Sequence[str]) -> int:
         _record(console, options, found.settings)
         console.print("\nLearning from them takes about a minute.")
         adapted = adapt_folder(options.folder, output)
-        words = words_of(found.settings)
-        for line in report_lines(adapted, {label: name_of(words, label) for label in adapted.labels}):
+        for line in report_lines(adapted):
             console.print(line)
         better = is_better(adapted.comparison)
         console.print(how_to_use(output.resolve(), found.file, options.pad, is_better=better), soft_wrap=True)

@@ -117,11 +117,16 @@ def _figures(frames: int, scored: Sequence[Scored], known: Sequence[str], left_o
         return LengthFigures(frames=frames, gestures=gestures)
     groups = [*_by(in_both, "participant").values()] if left_out == "participants" else [in_both]
     before, after = (np.array([_macro(group, when) for group in groups]) for when in ("before", "after"))
-    interval = mean_interval(after - before)
+    gains = after - before
     if left_out != "participants":
-        interval = paired_interval(np.array([each.after - each.before for each in in_both]))
-    means = float(before.mean()), float(after.mean())
-    return LengthFigures(frames=frames, gestures=gestures, before=means[0], after=means[1], interval=interval)
+        gains = np.array([each.after - each.before for each in in_both])
+    return LengthFigures(
+        frames=frames,
+        gestures=gestures,
+        before=float(before.mean()),
+        after=float(after.mean()),
+        interval=mean_interval(gains),
+    )
 
 
 def _by(scored: Sequence[Scored], key: Literal["gesture", "participant"]) -> dict[str, list[Scored]]:
@@ -136,19 +141,6 @@ def _macro(scored: Sequence[Scored], when: Literal["before", "after"]) -> float:
     return float(np.mean([np.mean([getattr(each, when) for each in own]) for own in by_gesture]))
 
 
-def paired_interval(gains: Floats) -> tuple[float, float]:
-    """Return the 95 % interval of a mean change of right answers (Agresti and Min 2005).
-
-    gains: each recording's, -1 to 1. Two pretended recordings, one of which became right and one wrong by
-    half, keep it from having no width where every recording changed equally.
-    """
-    n = len(gains) + 2
-    better, worse = float(gains.clip(min=0).sum()), float(-gains.clip(max=0).sum())
-    middle = (better - worse) / n
-    reach = 1.96 * math.sqrt((better + worse + 1.0 - n * middle**2) / n**2)
-    return max(-1.0, middle - reach), min(1.0, middle + reach)
-
-
 def cross_entropy(logits: Floats, labels: NDArray[np.int64]) -> float:
     """Return the mean negative log likelihood of the true classes (N,) under logits (N, classes)."""
     return float(-log_softmax(logits, axis=1)[np.arange(len(labels)), labels].mean())
@@ -159,7 +151,7 @@ def mean_interval(values: Floats) -> tuple[float, float] | None:
 
     Unlike a bootstrap, it is wide enough with two or three values.
     """
-    # People who happen to change equally do not prove that everybody does.
+    # A few who happen to change equally do not prove that everybody does.
     if len(values) < 2 or np.ptp(values) < 1e-9:
         return None
     middle = float(values.mean())

@@ -2,7 +2,7 @@
 
 import textwrap
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 from touchd.drivers.frame import FRAME_RATE_HZ, OTHER
 from touchd.model.adapt.adapt import Adapted
@@ -13,7 +13,6 @@ from touchd.model.adapt.passing import IN_PASSING
 FEW_PARTICIPANTS = 3
 WIDTH = 80
 NAME_WIDTH = 20
-NO_NAMES: Mapping[str, str] = {}
 RIGHT = "Right answers in percent, several a recording. Each"
 MEASURED: dict[LeftOut, str] = {
     "participants": f"{RIGHT} participant is answered by a model adapted to the others: this is how well it "
@@ -24,11 +23,8 @@ MEASURED: dict[LeftOut, str] = {
 }
 
 
-def report_lines(adapted: Adapted, names: Mapping[str, str] = NO_NAMES) -> Iterable[str]:
-    """Yield the report: the recordings, accuracy before and after, and warnings.
-
-    names: what gestures are called; without one, as in the recordings.
-    """
+def report_lines(adapted: Adapted) -> Iterable[str]:
+    """Yield the report: the recordings, accuracy before and after, and warnings."""
     comparison, gestures = adapted.comparison, {recording.gesture for recording in adapted.recordings}
     participants = {recording.participant for recording in adapted.recordings}
     yield (
@@ -36,16 +32,16 @@ def report_lines(adapted: Adapted, names: Mapping[str, str] = NO_NAMES) -> Itera
         f"by {_count(len(participants), 'participant')}"
     )
     if new := sorted(gestures - {*adapted.known}):
-        yield f"New to the model: {_listed(new, names)}"
+        yield f"New to the model: {', '.join(new)}"
     for reason, number in adapted.passed_over.items():
         yield f"Passed over: {_count(number, 'saved touch', 'es')} {reason}"
     yield ""
     yield from textwrap.wrap(MEASURED[comparison.left_out], WIDTH)
     if comparison.lengths:
-        yield from _table(comparison.lengths[-1], names)
+        yield from _table(comparison.lengths[-1])
         yield from map(_gain, comparison.lengths)
     yield ""
-    for warning in filter(None, (_doubt(comparison), *_lacks(adapted, names))):
+    for warning in filter(None, (_doubt(comparison), *_lacks(adapted))):
         yield from textwrap.wrap(f"! {warning}", WIDTH, subsequent_indent="  ")
 
 
@@ -66,7 +62,7 @@ def _doubt(comparison: Comparison) -> str:
     return "This is worse than the shipped model: keep that, or record more." if interval[1] < 0.0 else ""
 
 
-def _lacks(adapted: Adapted, names: Mapping[str, str]) -> Iterable[str]:
+def _lacks(adapted: Adapted) -> Iterable[str]:
     """Yield what the recordings do not show of a gesture."""
     done_by = Counter(
         gesture for gesture, _ in {(each.gesture, each.participant) for each in adapted.recordings}
@@ -75,20 +71,20 @@ def _lacks(adapted: Adapted, names: Mapping[str, str]) -> Iterable[str]:
     if adapted.comparison.left_out == "recordings":
         yield "One participant: no figure for other people, for whom the model may have become worse."
     if adapted.comparison.left_out == "participants" and alone:
-        yield f"Only one participant did {_listed(alone, names)}: no figure for other people."
+        yield f"Only one participant did {', '.join(alone)}: no figure for other people."
     if gone := sorted(set(adapted.known) - set(adapted.labels)):
-        yield f"The new model no longer knows {_listed(gone, names)}: record them too, or give --keep-all."
+        yield f"The new model no longer knows {', '.join(gone)}: record them too, or give --keep-all."
     # Nobody need record what is none of the gestures.
     if lacking := sorted({*adapted.labels} - {*done_by, OTHER}):
-        yield f"No recording of {_listed(lacking, names)}: known from other people and pads only."
+        yield f"No recording of {', '.join(lacking)}: known from other people and pads only."
 
 
-def _table(figures: LengthFigures, names: Mapping[str, str]) -> Iterable[str]:
+def _table(figures: LengthFigures) -> Iterable[str]:
     """Yield a line per gesture: how many recordings, and the accuracy before and after."""
     yield ""
     yield f"{_title(figures):<{NAME_WIDTH}}{'tried':>6}{'before':>8}{'after':>7}"
     for gesture, own in figures.gestures.items():
-        shown = names.get(gesture, gesture)[: NAME_WIDTH - 1]
+        shown = gesture[: NAME_WIDTH - 1]
         yield f"{shown:<{NAME_WIDTH}}{own.recordings:>6}{_percent(own.before):>8}{_percent(own.after):>7}"
     if figures.before is not None:
         before, after = _percent(figures.before), _percent(figures.after)
@@ -107,10 +103,6 @@ def _gain(at: LengthFigures) -> str:
 
 def _title(figures: LengthFigures) -> str:
     return "in passing" if figures.frames == IN_PASSING else f"after {figures.frames / FRAME_RATE_HZ:.2f} s"
-
-
-def _listed(gestures: Iterable[str], names: Mapping[str, str]) -> str:
-    return ", ".join(names.get(gesture, gesture) for gesture in gestures)
 
 
 def _percent(share: float | None) -> str:

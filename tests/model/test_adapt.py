@@ -39,7 +39,6 @@ from touchd.model.adapt.measure import (  # noqa: E402  # noqa: E402
     Scored,
     compare,
     mean_interval,
-    paired_interval,
     plan,
 )
 from touchd.model.adapt.output import model_name  # noqa: E402
@@ -295,8 +294,6 @@ def test_all_known_gestures_can_be_kept(pretrained: Pretrained) -> None:
     assert adapted.labels == tuple(sorted({"hug", *pretrained.labels}))
     said = "No recording of constant, rub, tickle: known from other people and pads only."
     assert said in words(report_lines(adapted))
-    named = words(report_lines(adapted, {"constant": "still hand", "rub": "Reiben"}))
-    assert "No recording of still hand, Reiben, tickle: known from" in named
 
 
 def test_rehearsal_keeps_others_from_being_forgotten(pretrained: Pretrained) -> None:
@@ -385,9 +382,9 @@ def scored(text: str) -> dict[int, list[Scored]]:
     [
         # t with 2 degrees of freedom: 4.303 standard errors of three participants' 1, 1 and 1/2.
         ("A pat 1, A rub 1, B pat 1, B rub 1, C pat 1, C rub 0", "participants", 5 / 6, (0.116, 1.550)),
-        # People who changed equally prove nothing about others; a person's recordings do.
+        # People who changed equally prove nothing about others.
         ("A pat 1, A rub 1, B pat 1, B rub 1", "participants", 1.0, None),
-        ("A pat 1, A pat 1, A rub 1, A rub 1", "recordings", 1.0, (0.168, 1.0)),
+        ("A pat 1, A pat 1, A rub 1, A rub 0", "recordings", 0.75, (-0.046, 1.546)),
     ],
 )
 def test_the_difference_has_an_interval(
@@ -405,9 +402,9 @@ def test_the_difference_has_an_interval(
         # Equal but for rounding.
         (mean_interval(np.array([0.1 + 0.2, 0.3])), None),
         (mean_interval(np.array([0.0, 0.1])), (0.05 - 12.706 * 0.05, 0.05 + 12.706 * 0.05)),
-        # Agresti and Min: of 14 recordings, four more are right than before, or one.
-        (paired_interval(np.array([1.0] * 4 + [0.0] * 10)), (0.005, 0.495)),
-        (paired_interval(np.array([1.0] + [0.0] * 13)), (-0.108, 0.233)),
+        # Of 14 recordings, four more are right than before, or one.
+        (mean_interval(np.array([1.0] * 4 + [0.0] * 10)), (0.015, 0.556)),
+        (mean_interval(np.array([1.0] + [0.0] * 13)), (-0.083, 0.226)),
     ],
 )
 def test_few_values_have_a_wide_interval(
