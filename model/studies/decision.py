@@ -6,7 +6,6 @@ the person answers after each of its first 144 frames. All settings of the daemo
 these answers.
 """
 
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
@@ -62,11 +61,6 @@ SHOWN = (0.5, 0.8)
 FINAL = (0.0, 0.3, 0.4, 0.45, 0.5, 0.6, 0.7)
 """Values of `final_above`; the page's table has those of FINAL_SHOWN."""
 FINAL_SHOWN = (0.0, FINAL_ABOVE, 0.5)
-LEAST_RIGHT_EARLY = 0.85
-MOST_CHANGED = 0.10
-MOST_HARMED = 0.02
-AS_GOOD = 0.005
-"""Half a point: two of 492 touches."""
 NAMED = (0.4, 0.65, 0.75, 0.85)
 """Values of `speak_above` that the right panel names; others would lie on other lines."""
 LABELS_AT = ((1.0, 89.4), (1.1, 80.2), (1.1, 68.0))
@@ -131,15 +125,6 @@ class Point(msgspec.Struct, frozen=True, kw_only=True):
     """Touches with a replaced answer."""
     harmed: float
     """Touches with a right answer replaced by a wrong one."""
-
-    @property
-    def good(self) -> bool:
-        """Whether early answers can be trusted, changes are rare, and harmful ones rarer."""
-        return (
-            self.right_when_told_early >= LEAST_RIGHT_EARLY
-            and self.changed <= MOST_CHANGED
-            and self.harmed <= MOST_HARMED
-        )
 
 
 class Choice(msgspec.Struct, frozen=True, kw_only=True):
@@ -217,10 +202,6 @@ def main(arguments: Sequence[str]) -> int:
     keep(FILE, measured)
     fill(options.docs / "decision.md", tables(measured))
     draw(measured, options.docs / "figures" / "decision.png")
-    picked = choose(measured.studies[HELD_OUT].curve)
-    sys.stdout.write(
-        f"The rule picks speak_above {picked.speak_above}, revise_margin {picked.revise_margin}.\n"
-    )
     return 0
 
 
@@ -328,17 +309,6 @@ def tell(streams: Streams, settings: DecisionSettings, revise_margin: float = RE
                 answers.append((stage, frames / FRAME_RATE_HZ, answer.gesture == streams.labels[truth]))
         told.append(Told(tuple(answers)))
     return told
-
-
-def choose(curve: Sequence[Point]) -> Point:
-    """Return the good point that tells early most often; among equals, the one that revises most readily.
-
-    Points whose last answer is right less often than the best one's, by more than AS_GOOD, are excluded.
-    """
-    good = [candidate for candidate in curve if candidate.good]
-    best = max(candidate.right_at_end for candidate in good)
-    as_good = [candidate for candidate in good if candidate.right_at_end >= best - AS_GOOD]
-    return max(as_good, key=lambda p: (p.told_early, -p.revise_margin))
 
 
 def at_limit(windows: Streams, limit: float) -> AtLimit:

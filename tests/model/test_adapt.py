@@ -362,19 +362,14 @@ def test_people_or_else_recordings_are_held_out(made: str, left_out: str, evalua
     for fold in folds:
         assert not {*fold.trained} & {*fold.evaluated}
         if left_out == "participants":
-            trained, held = (
-                {recordings[i].participant for i in own} for own in (fold.trained, fold.evaluated)
-            )
-            assert not trained & held
+            trained = {recordings[i].participant for i in fold.trained}
+            assert not trained & {recordings[i].participant for i in fold.evaluated}
 
 
 def scored(text: str) -> dict[int, list[Scored]]:
     """Return a held-out recording for each word: who, what they do, and whether it is right afterwards."""
-    return {
-        54: [
-            Scored(who, gesture, 0.0, float(after)) for who, gesture, after in map(str.split, text.split(","))
-        ]
-    }
+    tried = map(str.split, text.split(","))
+    return {54: [Scored(who, gesture, 0.0, float(after)) for who, gesture, after in tried]}
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,8 @@ from touchd.model.training.detector.pieces import PIECE_FRAMES, Composer, set_up
 from touchd.model.training.detector.train import DetectorRecipe, DetectorSettings
 
 
+# An export takes seconds.
+@pytest.mark.slow
 def test_the_file_answers_as_the_network(tmp_path: Path) -> None:
     torch.manual_seed(0)
     network = DetectorNetwork().eval()

@@ -93,15 +93,17 @@ def test_an_empty_folder_is_filled_and_checked(tmp_path: Path, address: str) -> 
     assert ARCHIVE_NAME in shown.getvalue()
 
 
-def test_a_full_folder_is_checked_without_a_network(tmp_path: Path) -> None:
-    (tmp_path / TRAINING_FILE).write_text(TRAINING_CSV)
-    (tmp_path / TEST_FILE).write_text(TEST_CSV)
-    assert obtain(tmp_path, quiet(), NOWHERE, EXPECTED) == EXPECTED
-
-
-def test_only_the_missing_file_is_unpacked_from_a_local_archive(tmp_path: Path) -> None:
-    (tmp_path / ARCHIVE_NAME).write_bytes(GOOD)
-    (tmp_path / TRAINING_FILE).write_text(TRAINING_CSV)
+@pytest.mark.parametrize(
+    "there",
+    [
+        {TRAINING_FILE: TRAINING_CSV.encode(), TEST_FILE: TEST_CSV.encode()},
+        {TRAINING_FILE: TRAINING_CSV.encode(), ARCHIVE_NAME: GOOD},
+    ],
+    ids=["both files", "one file and the archive"],
+)
+def test_what_is_there_is_used_without_a_network(tmp_path: Path, there: dict[str, bytes]) -> None:
+    for name, content in there.items():
+        (tmp_path / name).write_bytes(content)
     before = (tmp_path / TRAINING_FILE).stat().st_ino
     assert obtain(tmp_path, quiet(), NOWHERE, EXPECTED) == EXPECTED
     assert (tmp_path / TRAINING_FILE).stat().st_ino == before

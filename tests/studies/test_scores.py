@@ -33,12 +33,8 @@ from touchd.model.training.recipe import HAART_RECIPE, WIDE_RECIPE, read_recipe
 from touchd.model.training.weights import FABRIC_MODEL, HAART_MODEL, SCORES_NAME, WIDE_MODEL
 
 HAART_PEOPLE = ["P10", "P3", "P4", "P5", "P6", "P7", "P8"]
-SECOND_STUDY_PEOPLE = [
-    "L1",
-    "L2",
-    *(f"R{number:02}" for number in (2, 3, 4, 6, 8, 9, 10, 11, 12, 14, 16, 17)),
-]
-THIRD_STUDY_PEOPLE = [f"S{number:02}" for number in (1, 3, 4, 6, 7, 8, 10, 11, 12, 14, 15, 18)]
+SECOND_STUDY_PEOPLE = ["L1", "L2", *(f"R{i:02}" for i in (2, 3, 4, 6, 8, 9, 10, 11, 12, 14, 16, 17))]
+THIRD_STUDY_PEOPLE = [f"S{i:02}" for i in (1, 3, 4, 6, 7, 8, 10, 11, 12, 14, 15, 18)]
 FABRIC = {"haart": HAART_PEOPLE, "second": SECOND_STUDY_PEOPLE}
 TOLERANCE = 0.002
 
@@ -81,11 +77,6 @@ def test_a_model_file_names_its_training_data(
     assert metadata.training.get("learnt_from") == people
 
 
-def test_everybody_is_held_out_exactly_once() -> None:
-    left_out = sorted(participant for fold in read_recipe().folds for participant in fold)
-    assert left_out == sorted([*HAART_PEOPLE, *SECOND_STUDY_PEOPLE, *THIRD_STUDY_PEOPLE])
-
-
 def test_a_fold_network_never_saw_the_participants_it_scores() -> None:
     for path in sorted((SHIPPED_MODEL.parent / "left_out").glob("*.onnx")):
         learnt_from = Classifier.load(path).metadata.training["learnt_from"]
@@ -97,9 +88,8 @@ def test_a_test_participant_scores_as_published(scores: Scores, tmp_path: Path) 
     recordings = haart.realigned(one_person(haart.TEST_FILE, "T9", tmp_path))
     again = evaluate.score([(Classifier.load(), recordings)], 54)
     # A window may fall the other way on another processor.
-    assert again.per_participant["T9"] == pytest.approx(
-        stored(scores.test.realigned, 54).per_participant["T9"], abs=0.01
-    )
+    published = stored(scores.test.realigned, 54)
+    assert again.per_participant["T9"] == pytest.approx(published.per_participant["T9"], abs=0.01)
 
 
 @needs_haart

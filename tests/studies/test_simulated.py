@@ -6,25 +6,18 @@ import numpy as np
 import pytest
 
 from touchd.daemon.playback.stream import DEMO_RECORDING as DEMO
-from touchd.drivers.fakes.hand import Fabric
-from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT
+from touchd.drivers.frame import FRAME_RATE_HZ
 from touchd.drivers.recording import Recording, read_recordings
 from touchd.model.classifier import Classifier
 from touchd.model.studies.simulated import DEMO_SCRIPT, DEMO_SEED, GESTURES, simulate, write_simulated
 
 TOUCHES = sorted(set(GESTURES) - {"notouch"})
 FINAL_FRAMES = 144
-MAX_DEMO_BYTES = 400_000
 
 
 @pytest.fixture(scope="module")
 def demo() -> list[Recording]:
     return read_recordings(DEMO)
-
-
-def test_a_pad_pressed_beyond_its_range_saturates() -> None:
-    counts = Fabric(np.random.RandomState(1)).read(np.full((3, 8, 8), 9000.0))
-    assert (counts == MAX_COUNT).all()
 
 
 @pytest.mark.parametrize("gesture", TOUCHES)
@@ -63,7 +56,7 @@ def test_the_demo_recording_is_reproducible_from_its_seed(demo: list[Recording])
 
 
 def test_the_demo_recording_is_small_and_says_simulated(tmp_path: Path) -> None:
-    assert DEMO.stat().st_size < MAX_DEMO_BYTES
+    assert DEMO.stat().st_size < 400_000
     plain = tmp_path / "demo.csv"
     write_simulated(plain, [("notouch", 0.1)], seed=5)
     head = [line for line in plain.read_text().splitlines() if line.startswith("#")]

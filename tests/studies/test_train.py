@@ -177,42 +177,47 @@ RECIPE = Recipe(
 )
 
 
-def test_a_recipe_trains_each_of_its_networks_once(tmp_path: Path) -> None:
-    folders = MadeUp(tmp_path)
-    train_recipe(RECIPE, folders, tmp_path, threads=1)
-    networks = [finished_training(job, tmp_path) for job in all_jobs(RECIPE)]
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a recipe's trained networks."""
+    folder = tmp_path_factory.mktemp("runs")
+    train_recipe(RECIPE, MadeUp(folder), folder, threads=1)
+    return folder
+
+
+def test_a_recipe_trains_each_of_its_networks_once(runs: Path) -> None:
+    folders = MadeUp(runs)
+    networks = [finished_training(job, runs) for job in all_jobs(RECIPE)]
     assert [each.settings.left_out for each in networks] == [(), (), ("P3",), ("P4",), ()]
     assert networks[-1].settings.studies == ("haart", "second")
-    times = {path: path.stat().st_mtime_ns for path in tmp_path.rglob(CHECKPOINT_NAME)}
-    train_recipe(RECIPE, folders, tmp_path, threads=1)
+    times = {path: path.stat().st_mtime_ns for path in runs.rglob(CHECKPOINT_NAME)}
+    train_recipe(RECIPE, folders, runs, threads=1)
     assert {path: path.stat().st_mtime_ns for path in times} == times
     changed = msgspec.structs.replace(
         RECIPE, seeds=(7, *RECIPE.seeds), settings=another(weight_decay=0.5, studies=("haart",))
     )
     with pytest.raises(CheckpointError, match="made with other settings than the recipe's"):
-        train_recipe(changed, folders, tmp_path, threads=1)
+        train_recipe(changed, folders, runs, threads=1)
     with pytest.raises(CheckpointError, match="made with other settings than the recipe's"):
-        finished_training(all_jobs(changed)[1], tmp_path)
+        finished_training(all_jobs(changed)[1], runs)
 
 
-def test_a_recipe_may_begin_from_the_networks_of_another(tmp_path: Path) -> None:
-    folders = MadeUp(tmp_path)
-    train_recipe(RECIPE, folders, tmp_path, threads=1)
+def test_a_recipe_may_begin_from_the_networks_of_another(runs: Path) -> None:
     further = msgspec.structs.replace(
         RECIPE, name="further", begins_from="tiny", settings=another(learning_rate=0.0)
     )
     (job, *_) = all_jobs(further)
-    data = folders.to_train_on(job.settings.studies)
-    (begun,) = train(data, [job], tmp_path, DEVICE)
-    first = finished_training(all_jobs(RECIPE)[0], tmp_path)
+    data = MadeUp(runs).to_train_on(job.settings.studies)
+    (begun,) = train(data, [job], runs, DEVICE)
+    first = finished_training(all_jobs(RECIPE)[0], runs)
     assert same(begun, first)
     kept = replace(job, name="kept", settings=another(studies=job.settings.studies), keeps=0.25)
-    (moved,) = train(data, [kept], tmp_path, DEVICE)
-    for name, weights in finished_training(kept, tmp_path).network.items():
+    (moved,) = train(data, [kept], runs, DEVICE)
+    for name, weights in finished_training(kept, runs).network.items():
         expected = 0.75 * moved.network[name] + 0.25 * first.network[name]
         torch.testing.assert_close(weights, expected)
     with pytest.raises(CheckpointError, match="there is no checkpoint"):
-        train(data, [replace(job, name="lost", begins_from="nowhere")], tmp_path, DEVICE)
+        train(data, [replace(job, name="lost", begins_from="nowhere")], runs, DEVICE)
 
 
 def test_a_training_of_another_device_is_refused_in_one_line(
