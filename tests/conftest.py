@@ -114,8 +114,9 @@ def own_log_levels() -> Iterator[None]:
     """Undo what a test does to the levels of the logs: the next one would see other lines than alone."""
     loggers = [logging.getLogger()]
     loggers += [log for log in logging.Logger.manager.loggerDict.values() if isinstance(log, logging.Logger)]
-    before = [log.level for log in loggers]
+    before, disabled = [log.level for log in loggers], logging.root.manager.disable
     yield
+    logging.disable(disabled)
     for log in logging.Logger.manager.loggerDict.values():
         if isinstance(log, logging.Logger) and log not in loggers:
             log.setLevel(logging.NOTSET)
