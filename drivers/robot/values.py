@@ -10,7 +10,7 @@ NUMBERS = {kind: struct.Struct(f"<{code}") for kind, code in zip("bcCwWiIlLfd", 
 # What a value of any kind is sent as.
 SIGNATURES = {bool: "b", int: "i", float: "d", str: "s", list: "[m]", tuple: "[m]"}
 # Of one message: a few bytes may claim any number of values.
-MOST_VALUES, LONGEST_SIGNATURE = 20_000, 1000
+MOST_VALUES, LONGEST_SIGNATURE = 20_000, 300
 
 
 def read(signature: str, data: bytes | bytearray) -> Any:

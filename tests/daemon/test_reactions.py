@@ -15,7 +15,7 @@ from touchd.daemon.path.feel import Feel
 from touchd.daemon.robot import actions
 from touchd.daemon.robot.actions import MEASURES, Action, ActionRule
 from touchd.daemon.robot.reactions import MOST_TOUCHES, Choice, act_of, spoken
-from touchd.daemon.robot.words import SHIPPED, name_of, words_of
+from touchd.daemon.robot.words import SHIPPED, words_of
 from touchd.model.classifier import Classifier
 
 Rules = tuple[ActionRule, ...]
@@ -203,12 +203,3 @@ def test_every_kind_of_action_reaches_the_robot_in_order() -> None:
 
 def test_every_language_names_the_same_gestures() -> None:
     assert len({frozenset(words) for words in SHIPPED.values()}) == 1
-
-
-def test_a_deployments_words_replace_the_shipped_ones() -> None:
-    words = words_of(Settings(language="de", words={"stroke": Words(name="caresse", phrase="une caresse")}))
-    assert [name_of(words, gesture) for gesture in ("stroke", "pat", "hug")] == [
-        "caresse",
-        "Tätscheln",
-        "hug",
-    ]

@@ -1,43 +1,11 @@
 """Retries back off while a peer is missing; a fault that flaps is logged ever less often."""
 
 import logging
-import time
-from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
-from rigs.formats import encode_fabric_grid
-from rigs.sensor_rig import next_frames, sensing, stream_of
-from rigs.wait import wait_for
 
-from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.faults import AGAIN_S, MOST_CAUSES, Backoff, FaultLog
-
-Paused = Callable[[str], list[float]]
-
-
-@pytest.fixture
-def paused(monkeypatch: pytest.MonkeyPatch) -> Paused:
-    """Records the pauses that a module takes."""
-
-    def record(module: str) -> list[float]:
-        pauses: list[float] = []
-
-        class Recorded(Backoff):
-            def pause_s(self) -> float:
-                pauses.append(super().pause_s())
-                return pauses[-1]
-
-        monkeypatch.setattr(f"{module}.Backoff", Recorded)
-        return pauses
-
-    return record
-
-
-def first(pauses: list[float]) -> float:
-    wait_for(lambda: len(pauses) > 0)
-    return pauses[0]
 
 
 def test_attempts_back_off_and_recover() -> None:
@@ -46,21 +14,6 @@ def test_attempts_back_off_and_recover() -> None:
         assert longest / 2 <= backoff.pause_s() <= longest
     backoff.reset()
     assert backoff.pause_s() <= 0.1
-
-
-def test_a_lost_pad_is_retried_sooner_than_a_missing_one(tmp_path: Path, paused: Paused) -> None:
-    pauses = paused("touchd.drivers.pad.sensor")
-    link = tmp_path / "pad"
-    with sensing(str(link), longest_retry_s=0.3) as queue:
-        wait_for(lambda: len(pauses) > 3)
-        assert 0.15 <= pauses[3] <= max(pauses) <= 0.3
-        with FakePort(stream_of(), encode_fabric_grid) as port:
-            link.symlink_to(port.path)
-            next_frames(queue, 5)
-            time.sleep(0.4)
-            link.unlink()
-            pauses.clear()
-        assert first(pauses) <= 0.1
 
 
 def lines(caplog: pytest.LogCaptureFixture, *lasting_s: tuple[float, float]) -> list[str]:

@@ -95,20 +95,3 @@ def test_what_visitors_do_is_named(classifier: Classifier, name: str) -> None:
     (kind,) = (kind for kind in KINDS if kind.name == name)
     names = [named(classifier, counts_of(kind, seed)) for seed in range(SEEDS)]
     assert names.count(kind.gesture) >= SEEDS - 1, names
-
-
-def pressed_by(pointer: Pointer, frames: int) -> float:
-    """Return the greatest pressure after some frames under a pointer."""
-    hands = PressingHands(RandomState(1))
-    return float([hands.frame({1: pointer}) for _ in range(frames)][-1].max())
-
-
-def test_a_mouse_presses_harder_where_it_stays() -> None:
-    assert pressed_by(Pointer(3.5, 3.5, "hand"), 54) > 1.5 * pressed_by(Pointer(3.5, 3.5, "hand"), 8)
-
-
-def test_a_hand_that_left_presses_no_more() -> None:
-    hands = PressingHands(RandomState(1))
-    hands.frame({1: Pointer(3.5, 3.5, "hand")})
-    lifted = [hands.frame({}).max() for _ in range(40)]
-    assert lifted[-1] == 0.0

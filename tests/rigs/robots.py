@@ -22,6 +22,7 @@ from rigs.wait import SOON_S
 from touchd.daemon.path.events import timestamp
 from touchd.daemon.robot.sink import detail_of
 from touchd.drivers.fakes.loopback_robot import LoopbackRobot
+from touchd.drivers.frame import DEFAULT_PAD
 from touchd.drivers.robot.link import LIMITS, Act, RobotLink
 from touchd.drivers.robot.session import RobotLimits, RobotSettings
 
@@ -55,10 +56,8 @@ class Robot(LoopbackRobot):
         self.authority = trustme.CA()
         options = [f"--port={free_port()}", f"--call-s={call_s}", f"--say-s={say_s}"]
         options += [f"--without={name}" for name in without]
-        program = ["-m", "touchd.drivers.fakes.fake_robot"]
-        if not is_ours:
-            program = [str(Path(__file__).with_name("qi_robot.py"))]
-        super().__init__(self.calls.add, options, program)
+        theirs = [str(Path(__file__).with_name("qi_robot.py"))]
+        super().__init__(self.calls.add, options, *([] if is_ours else [theirs]))
 
     def start(self) -> None:
         """Switch it on, also after kill()."""
@@ -76,17 +75,14 @@ class Robot(LoopbackRobot):
         """Switch it off at once."""
         self.stop()
 
-    def hang(self) -> None:
+    def hang(self, signal_: signal.Signals = signal.SIGSTOP) -> None:
         """Stop answering; the connections stay open."""
-        self._signal(signal.SIGSTOP)
+        assert self._process is not None
+        self._process.send_signal(signal_)
 
     def resume(self) -> None:
         """Answer again, queued calls first."""
-        self._signal(signal.SIGCONT)
-
-    def _signal(self, number: signal.Signals) -> None:
-        assert self._process is not None
-        self._process.send_signal(number)
+        self.hang(signal.SIGCONT)
 
 
 LOGIN = Login("nao", "s3cret-token")
@@ -102,10 +98,10 @@ def message(
     sequence: int | None = None,
     **other: Any,
 ) -> tuple[str, list[object]]:
-    time_s, number = time_s or time.time(), sequence or touch
-    values = {"gesture": gesture, "touch": touch, "time": timestamp(time_s), **other}
+    """Return a pad and the detail of an answer."""
+    values = {"gesture": gesture, "touch": touch, "time": timestamp(time_s or time.time()), **other}
     answer = msgspec.structs.replace(PREDICTION, **values)
-    return answer.pad, detail_of(answer, number)
+    return answer.pad, detail_of(answer, sequence or touch)
 
 
 def say(words: str) -> Act:
@@ -155,14 +151,18 @@ class States:
 
 @contextmanager
 def linked(
-    robot: Robot | StubRobot, url: str = "", limits: RobotLimits = LIMITS, acts: bool = False, **settings: Any
+    robot: Robot | StubRobot,
+    *,
+    limits: RobotLimits = LIMITS,
+    acts: bool = False,
+    pads: Sequence[str] = (DEFAULT_PAD,),
+    **settings: Any,
 ) -> Iterator[tuple[RobotLink, States]]:
     """A started link to a robot, and the states it reports; stopped at the end."""
     states = States()
-    pads = {"pads": settings.pop("pads")} if "pads" in settings else {}
     opened = robot.open_session if isinstance(robot, StubRobot) else None
-    reached = RobotSettings(url=url or robot.url, **settings)
-    link = RobotLink(reached, states, opened, acts=acts, limits=limits, **pads)
+    reached = RobotSettings(**{"url": robot.url, **settings})
+    link = RobotLink(reached, states, opened, pads=pads, acts=acts, limits=limits)
     link.start()
     try:
         yield link, states
