@@ -44,14 +44,12 @@ class BinaryFraming:
         self._header = described.header_bytes
         self._size = frame_bytes(described)
         self._cells_at = len(self._header) + CLOCK_BYTES * described.has_clock + described.skip
-        self.buffer = b""
-        # Bytes dropped since the last frame; whether the next byte follows a frame directly.
-        self._gap = 0
-        self._in_step = False
+        self.reset()
 
     def reset(self) -> None:
         """Forget half a frame."""
         self.buffer = b""
+        # Bytes dropped since the last frame; whether the next byte follows a frame directly.
         self._gap, self._in_step = 0, False
 
     def feed(self, data: bytes, host_s: float) -> list[Sent]:

@@ -70,38 +70,17 @@ class SentFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
                 f"a side of {SHORTEST_SIDE} to {LONGEST_SIDE} must be left: change rows, columns or crop"
             )
         if self.framing == "text":
-            self._check_text()
-        else:
-            self._check_binary()
-
-    def _check_text(self) -> None:
-        plain = SentFormat()
-        for name in ("header", "cell", "order", "checksum"):
-            if getattr(self, name) != getattr(plain, name):
-                what = "text has rows, columns, skip, tail, clock and end"
-                raise FormatError(f"{name} is for a binary format; {what}")
-        if self.has_clock and not self.skip:
-            raise FormatError("clock is the first number that skip leaves out: set skip to 1 or more")
-
-    def _check_binary(self) -> None:
-        if self.end:
-            raise FormatError("end is for a text format; a binary one has a header")
-        if not re.fullmatch(r"(\s*[0-9a-fA-F]{2})*", self.header):
+            if self.has_clock and not self.skip:
+                raise FormatError("clock is the first number that skip leaves out: set skip to 1 or more")
+        elif not re.fullmatch(r"(\s*[0-9a-fA-F]{2})*", self.header):
             raise FormatError(f"header {self.header!r} is not bytes in hex, as in 'aa ab ac'")
-        if self.full_scale > CELL_TOP.get(self.cell, self.full_scale):
+        elif self.full_scale > CELL_TOP.get(self.cell, self.full_scale):
             raise FormatError(f"full_scale {self.full_scale:g} does not fit into a cell of {self.cell}")
 
     def __str__(self) -> str:
-        # A text pad may have the same line as a preset by chance.
-        is_binary = self.framing == "binary"
-        alike = (name for name, preset in PRESETS.items() if is_binary and preset.line == self.line)
+        # A header tells a pad; lines of numbers look alike.
+        alike = (name for name, preset in PRESETS.items() if self.header and preset.header == self.header)
         return f"{next(alike, self.framing)} {self.rows}x{self.columns}"
-
-    @property
-    def line(self) -> tuple[object, ...]:
-        """The line's format, without the grid and its values."""
-        cells = (self.cell, self.order, self.checksum)
-        return (self.framing, self.skip, self.tail, self.end, self.header, self.clock, *cells)
 
     @property
     def has_clock(self) -> bool:

@@ -77,15 +77,15 @@ class TextFraming:
     def __init__(self, described: PadFormat, counts: ProtocolCounts) -> None:
         self._format = described
         self._counts = counts
-        self.buffer = b""
         self._around = described.skip + described.tail
         self._longest = CHARACTERS_A_NUMBER * (described.cells + self._around) + CHARACTERS_A_LINE
         self._end = described.end.encode()
         self._run_s = 0.0
-        self._begin()
+        self.reset()
 
-    def _begin(self) -> None:
+    def reset(self) -> None:
         """Skip the first line, which may be cut. The first run, too, may have begun before we listened."""
+        self.buffer = b""
         self._skipping = self._is_first_run = True
         self._begin_run()
 
@@ -113,11 +113,6 @@ class TextFraming:
             frames += [] if self._skipping else self._give_up()
             self.buffer, self._skipping = b"", True
         return frames
-
-    def reset(self) -> None:
-        """Forget half a frame."""
-        self.buffer = b""
-        self._begin()
 
     def _give_up(self) -> list[Sent]:
         """Refuse a line that cannot be one of the pad's."""

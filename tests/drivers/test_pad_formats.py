@@ -258,9 +258,6 @@ def test_a_pad_is_turned_then_mirrored() -> None:
     [
         ({"header": "xyz"}, "header 'xyz' is not bytes in hex"),
         ({"header": " "}, "header ' ' is not bytes in hex"),
-        ({"framing": "text", "header": "aa"}, "header is for a binary format"),
-        ({"framing": "text", "cell": "u8"}, "cell is for a binary format; text has rows, columns"),
-        ({"header": "aa", "end": "x"}, "end is for a text format"),
         ({"rows": 10, "crop": 4, "header": "aa"}, "10x10 with crop 4 leaves 2x2"),
         ({"header": "aa", "cell": "u8"}, "full_scale 1023 does not fit into a cell of u8"),
     ],
