@@ -115,12 +115,6 @@ TOGETHER = (
         Attacked("websockets", rosbridge, attackers.empty_fragments),
         Attacked("socket", robot, attackers.never_answers),
         Attacked("pylsl", lambda _: {"lsl": LslSettings()}, None, ("tcp", attackers.endless_lsl_request)),
-        Attacked(
-            "websockets",
-            lambda port: {"live": LiveSettings(port=port)},
-            None,
-            ("tcp", attackers.noisy_viewers),
-        ),
     ),
     (
         Attacked("paho.mqtt", mqtt, attackers.takes_nothing),

@@ -13,7 +13,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 
-from rigs.live_rig import HANDSHAKE
 from websockets.utils import accept_key
 
 CONNACK = b"\x20\x02\x00\x00"
@@ -237,21 +236,3 @@ def _announcement(domain: int) -> bytes:
                 return listener.recv(CHUNK)
             finally:
                 process.kill()
-
-
-def noisy_viewers(find: Find, goes_on: Callable[[], bool]) -> None:
-    """Watch the live page with more viewers than allowed, which read nothing and send pings and fragments."""
-    piece = (b"\x89\xbc" + bytes(64)) * 100 + (b"\x01\x80" + bytes(4)) + (b"\x00\x80" + bytes(4)) * 1000
-    ports = find()
-    joining = HANDSHAKE.format(port=ports[0]).encode()
-    watchers = [
-        threading.Thread(
-            target=one_connection,
-            args=(lambda: ports, goes_on, itertools.chain([joining], itertools.repeat(piece))),
-        )
-        for _ in range(30)
-    ]
-    for watcher in watchers:
-        watcher.start()
-    for watcher in watchers:
-        watcher.join()
