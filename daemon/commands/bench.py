@@ -26,7 +26,7 @@ from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import FRAME_RATE_HZ
 from touchd.drivers.recording import Stream, read_recordings, splice
 
-QUIET_S = 20.0
+QUIET_S, SETTLING_S = 20.0, 2.0
 START_S = 30.0
 # Events carry whole milliseconds, enough to find their frame: frames are 18 ms apart.
 STAMP_S = 0.002
@@ -39,10 +39,7 @@ def parser() -> argparse.ArgumentParser:
         prog="touchd bench", description="Measures the real daemon on a fake pad at 54 Hz."
     )
     parser.add_argument(
-        "--seconds",
-        type=within(float, 1.0, 86400.0),
-        default=120.0,
-        help="how long to touch the pad (default 120)",
+        "--seconds", type=within(float, 1.0, 86400.0), default=120.0, help="of touches (%(default)g)"
     )
     return parser
 
@@ -78,16 +75,21 @@ def measure(touch_s: float) -> dict[str, float]:
         started_s = time.monotonic()
         daemon = SpawnedDaemon(settings, folder, log, {"NOTIFY_SOCKET": str(folder / "notify")})
         closing.callback(daemon.stop)
-        reader = threading.Thread(target=_receive, args=(daemon, received), name="touchd-bench", daemon=True)
+
+        def receive() -> None:
+            received.extend((event, time.monotonic(), time.time()) for event in daemon.events())
+
+        reader = threading.Thread(target=receive, name="touchd-bench", daemon=True)
         reader.start()
         while b"READY=1" not in ready.recv(4096):
             pass
         figures = {"start_to_ready_s": time.monotonic() - started_s}
-        figures["cpu_idle_percent"] = _cpu_percent(daemon.process.pid, QUIET_S - 2.0)
-        time.sleep(2.0)
+        figures["cpu_idle_percent"] = _cpu_percent(daemon.process.pid, QUIET_S - SETTLING_S)
+        time.sleep(SETTLING_S)
         figures["cpu_touching_percent"] = _cpu_percent(daemon.process.pid, touch_s)
         port.wait(START_S)
-        figures["memory_mb"] = _peak_memory_mb(daemon.process.pid)
+        status = Path(f"/proc/{daemon.process.pid}/status").read_text()
+        figures["memory_mb"] = int(status.partition("VmHWM:")[2].split()[0]) * 1024 / 1e6
         daemon.stop()
         reader.join()
         latencies_ms = _latencies_ms(port.sent_s, received)
@@ -103,10 +105,6 @@ def touched(touch_s: float) -> Stream:
     turns = max(1, round(touch_s * FRAME_RATE_HZ / turn_frames))
     rests = round(QUIET_S * FRAME_RATE_HZ / len(rest.counts))
     return splice([rest] * rests + list(islice(cycle(others), 2 * turns)))
-
-
-def _receive(daemon: SpawnedDaemon, received: list[Received]) -> None:
-    received.extend((event, time.monotonic(), time.time()) for event in daemon.events())
 
 
 def _latencies_ms(sent_s: NDArray[np.float64], received: Sequence[Received]) -> list[float]:
@@ -127,16 +125,11 @@ def _latencies_ms(sent_s: NDArray[np.float64], received: Sequence[Received]) -> 
 
 def _cpu_percent(pid: int, seconds: float) -> float:
     """Return how much of one core the process takes over that many seconds, in per cent (see proc(5))."""
-    began_s, used_s = time.monotonic(), _cpu_s(pid)
+
+    def used_s() -> float:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    began_s, before_s = time.monotonic(), used_s()
     time.sleep(seconds)
-    return 100 * (_cpu_s(pid) - used_s) / (time.monotonic() - began_s)
-
-
-def _cpu_s(pid: int) -> float:
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-def _peak_memory_mb(pid: int) -> float:
-    lines = Path(f"/proc/{pid}/status").read_text().splitlines()
-    return next(int(line.split()[1]) * 1024 / 1e6 for line in lines if line.startswith("VmHWM:"))
+    return 100 * (used_s() - before_s) / (time.monotonic() - began_s)

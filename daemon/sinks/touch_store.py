@@ -58,38 +58,26 @@ LONGEST_FRAMES = round(60.0 * FRAME_RATE_HZ)
 
 @dataclass(frozen=True, eq=False)
 class EndedTouch:
-    """A touch that is over, and the contiguous frames around it.
-
-    quiet_from_ms: the sensor's clock at the last contact of the touch before; None for the first.
-    """
+    """A touch that is over, and the contiguous frames around it, none of an earlier touch."""
 
     began: TouchBegan
     ended: TouchEnded
     frames: tuple[Frame, ...]
-    quiet_from_ms: int | None
 
     def recordings(self) -> list[Recording]:
         """Return the rest before it, the touch from its first frame to its last contact, the quiet after it.
 
-        The rest lasts at most LEAD_MS and holds nothing of an earlier touch. There is quiet only if the touch
-        was released, and not if it was lost or taken for the pad's rest.
+        The rest lasts at most LEAD_MS. There is quiet only if the touch was released, and not if it was lost
+        or taken for the pad's rest.
         """
-        clock = clock_ms(self.frames)
-
-        def place(sensor_ms: int) -> int:
-            """Return the index of the first frame from this time on."""
-            since_ms = (sensor_ms - self.frames[0].sensor_ms + HALF_CLOCK) % CLOCK_MODULUS - HALF_CLOCK
-            return int(np.searchsorted(clock, clock[0] + since_ms))
-
-        began_ms, lead_ms = self.began.sensor_ms, LEAD_MS
-        if self.quiet_from_ms is not None:
-            lead_ms = min(lead_ms, (began_ms - self.quiet_from_ms) % CLOCK_MODULUS - 1)
-        rest, first = place(began_ms - lead_ms), place(began_ms)
         assert self.ended.sensor_ms is not None, "the touch had a last contact"
-        stop = max(first + 1, place(self.ended.sensor_ms + 1))
-        end = len(clock) if self.ended.reason == "released" else stop
+        rest = self._frames_before(self.began.sensor_ms - LEAD_MS)
+        first = self._frames_before(self.began.sensor_ms)
+        stop = max(first + 1, self._frames_before(self.ended.sensor_ms + 1))
+        end = len(self.frames) if self.ended.reason == "released" else stop
         tags = {} if self.began.tags is UNSET else self.began.tags
         participant, substrate, cover = (tags.get(key, UNLABELLED) for key in KEYS[:3])
+        clock = clock_ms(self.frames)
         recordings = []
         for gesture, piece in (
             (NO_TOUCH, slice(rest, first)),
@@ -102,6 +90,10 @@ class EndedTouch:
                     Recording(participant, substrate, cover, gesture, counts, clock[piece], "live")
                 )
         return recordings
+
+    def _frames_before(self, sensor_ms: int) -> int:
+        """Return how many frames came before this time of the sensor's clock."""
+        return sum(not _is_from(sensor_ms, frame) for frame in self.frames)
 
 
 @dataclass(frozen=True, order=True)
@@ -253,8 +245,8 @@ class TouchSink(QueuedSink[EndedTouch]):
         match item:
             case TouchBegan() if item.pad in self._pads:
                 self._pads[item.pad].begin(item)
-            case TouchEnded(sensor_ms=int()) if item.pad in self._pads:
-                if (touch := self._pads[item.pad].end(item)) is not None:
+            case TouchEnded(sensor_ms=int(last_ms)) if item.pad in self._pads:
+                if (touch := self._pads[item.pad].end(item, last_ms)) is not None:
                     super().put(touch)
             case Label() if item.pad in self._stores:
                 self._stores[item.pad].label(item)
@@ -274,7 +266,6 @@ class _PadFrames:
         self._began: TouchBegan | None = None
         self._frames: list[Frame] = []
         self._is_cut = False
-        self._quiet_from_ms: int | None = None
 
     def take(self, frame: Frame) -> None:
         if self._recent and _ms_between(self._recent[-1], frame) > CUT_MS:
@@ -289,10 +280,19 @@ class _PadFrames:
     def begin(self, event: TouchBegan) -> None:
         self._began, self._frames, self._is_cut = event, list(self._recent), False
 
-    def end(self, event: TouchEnded) -> EndedTouch | None:
-        began, frames, quiet_from_ms = self._began, tuple(self._frames), self._quiet_from_ms
-        self._began, self._frames, self._quiet_from_ms = None, [], event.sensor_ms
-        return EndedTouch(began, event, frames, quiet_from_ms) if began and frames else None
+    def end(self, event: TouchEnded, last_ms: int) -> EndedTouch | None:
+        """Return the touch that began; last_ms: the sensor's clock at its last contact."""
+        began, frames = self._began, tuple(self._frames)
+        self._began, self._frames = None, []
+        # They are no rest before the next touch.
+        while self._recent and not _is_from(last_ms + 1, self._recent[0]):
+            self._recent.popleft()
+        return EndedTouch(began, event, frames) if began and frames else None
+
+
+def _is_from(sensor_ms: int, frame: Frame) -> bool:
+    """Whether a frame came at this time of the sensor's clock, which wraps, or later."""
+    return (frame.sensor_ms - sensor_ms) % CLOCK_MODULUS < HALF_CLOCK
 
 
 def _ms_between(earlier: Frame, later: Frame) -> int:

@@ -253,16 +253,14 @@ def test_only_what_a_kill_left_unfinished_is_deleted_at_the_start(tmp_path: Path
     }
 
 
-def times_kept(
-    first_ms: int, last_ms: int, since_ms: int = 0, quiet_from_ms: int | None = None, reason: Any = "released"
-) -> list[list[int]]:
+def times_kept(first_ms: int, last_ms: int, since_ms: int = 0, reason: Any = "released") -> list[list[int]]:
     """Return the times of rest, touch and quiet of a touch, of frames every 100 ms for 3 s."""
     counts = np.zeros((8, 8), np.uint16)
     frames = tuple(Frame((since_ms + ms) % 2**32, 0.0, counts) for ms in range(0, 3000, 100))
     touch = ended_touch(1)
     began = msgspec.structs.replace(touch.began, sensor_ms=(since_ms + first_ms) % 2**32)
     ended = msgspec.structs.replace(touch.ended, sensor_ms=(since_ms + last_ms) % 2**32, reason=reason)
-    found = EndedTouch(began, ended, frames, quiet_from_ms).recordings()
+    found = EndedTouch(began, ended, frames).recordings()
     return [((part.sensor_ms - since_ms) % 2**32).tolist() for part in found]
 
 
@@ -284,9 +282,19 @@ def test_frames_are_cut_where_the_touch_begins_and_ends(
     assert times_kept(first_ms, last_ms, since_ms) == [list(times) for times in expected]
 
 
-@pytest.mark.parametrize(("quiet_from_ms", "first_kept_ms"), [(None, 1000), (300, 1000), (1500, 1600)])
-def test_rest_holds_nothing_of_an_earlier_touch(quiet_from_ms: int | None, first_kept_ms: int) -> None:
-    assert times_kept(2000, 2200, quiet_from_ms=quiet_from_ms)[0][0] == first_kept_ms
+def test_rest_holds_nothing_of_an_earlier_touch(store: TouchStore, tmp_path: Path) -> None:
+    touch, change = ended_touch(1), msgspec.structs.replace
+    with sinking(store) as sink:
+        for ms in range(0, 3000, 100):
+            sink.put_frame(Frame(ms, 0.0, touch.frames[0].pressure))
+            if ms in (1600, 2400):
+                sink.put(change(touch.began, sensor_ms=ms - 600))
+                sink.put(change(touch.ended, sensor_ms=ms - 100))
+    first, second = (read_frames(kept) for kept in kept_touches(tmp_path / "touches"))
+    assert first.before is not None
+    assert first.before.sensor_ms.tolist() == list(range(0, 1000, 100))
+    assert second.before is not None
+    assert second.before.sensor_ms.tolist() == [1600, 1700]
 
 
 def test_only_a_released_touch_is_followed_by_quiet() -> None:

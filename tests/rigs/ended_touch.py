@@ -25,7 +25,6 @@ def ended_touch(number: int, rest_frames: int = 10, after_s: float = 0.0) -> End
             touch=number, gesture="rub", frames=FRAMES, reason="released", time=when, sensor_ms=last_ms
         ),
         frames,
-        None,
     )
 
 
