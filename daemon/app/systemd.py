@@ -16,52 +16,30 @@ FEEDS_PER_WATCHDOG = 4
 SILENT_S = 4.0
 
 
-class Notifier:
-    """Sends readiness, watchdog and status to systemd; does nothing without a manager.
+class Health:
+    """Tells systemd when the daemon is ready, how it is, and that it ends; does nothing without a manager.
 
+    Feeds the watchdog while each pad either delivers frames that are processed or is known to be away: when a
+    reader dies or the loop hangs, systemd restarts the daemon.
     environ: NOTIFY_SOCKET, WATCHDOG_USEC and WATCHDOG_PID as systemd sets them (sd_notify(3),
     sd_watchdog_enabled(3)).
     """
 
-    def __init__(self, environ: Mapping[str, str]) -> None:
+    def __init__(self, environ: Mapping[str, str], pads: Sequence[PadChannel], events: EventFanout) -> None:
         address = environ.get("NOTIFY_SOCKET", "")
         # A name that begins with @ stands for Linux's abstract namespace.
         self._address = f"\0{address[1:]}" if address.startswith("@") else address
-        self._socket: socket.socket | None = None
-        if address:
-            self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
-            self._socket.setblocking(False)
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
+        self._socket.setblocking(False)
         watched = environ.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
         self.watchdog_s = int(environ.get("WATCHDOG_USEC", "0")) / 1e6 if watched else 0.0
-
-    def send(self, **fields: str | int) -> None:
-        """Send fields such as READY=1; a manager that does not take them is ignored."""
-        if self._socket is not None:
-            message = "\n".join(f"{name}={value}" for name, value in fields.items())
-            with suppress(OSError):
-                self._socket.sendto(message.encode(), self._address)
-
-    def close(self) -> None:
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
-
-
-class Health:
-    """Feeds the watchdog while each pad either delivers frames that are processed or is known to be away.
-
-    When a reader dies or the loop hangs, systemd restarts the daemon.
-    """
-
-    def __init__(self, notifier: Notifier, pads: Sequence[PadChannel], events: EventFanout) -> None:
-        self._notifier = notifier
         self._pads = pads
         self._events = events
         # The time until which each pad counts as alive; infinite while it is known to be away.
         self._alive_until_s: dict[str, float] = {}
         self._seen: dict[str, tuple[int, bool | None]] = {}
         self._reported = 0
-        self._next_feed_s = 0.0 if notifier.watchdog_s else math.inf
+        self._next_feed_s = 0.0 if self.watchdog_s else math.inf
         self._status_s = time.monotonic()
 
     def reporting(self, must_stop: Callable[[], bool]) -> Callable[[], bool]:
@@ -69,14 +47,17 @@ class Health:
 
         def asked() -> bool:
             if must_stop():
-                self._notifier.send(STOPPING=1)
+                self._send(STOPPING=1)
                 return True
-            self.look()
+            self._look()
             return False
 
         return asked
 
-    def look(self) -> None:
+    def close(self) -> None:
+        self._socket.close()
+
+    def _look(self) -> None:
         """Look at the pads. Once the state of one is known, the daemon is ready."""
         now_s = time.monotonic()
         for pad in self._pads:
@@ -84,11 +65,11 @@ class Health:
             if pad.is_up is None or before == (pad.frames, pad.is_up):
                 continue
             if not self._alive_until_s:
-                self._notifier.send(READY=1)
+                self._send(READY=1)
             self._alive_until_s[pad.name] = now_s + SILENT_S if pad.is_up else math.inf
         if now_s >= self._next_feed_s and now_s < min(self._alive_until_s.values(), default=now_s):
-            self._notifier.send(WATCHDOG=1)
-            self._next_feed_s = now_s + self._notifier.watchdog_s / FEEDS_PER_WATCHDOG
+            self._send(WATCHDOG=1)
+            self._next_feed_s = now_s + self.watchdog_s / FEEDS_PER_WATCHDOG
         if now_s - self._status_s >= STATUS_EVERY_S:
             self._report(now_s)
 
@@ -99,5 +80,12 @@ class Health:
         rate_hz = (frames - self._reported) / (now_s - self._status_s)
         away = "".join(f", {pad.name} away" for pad in self._pads if pad.is_up is False)
         status = f"{rate_hz:.1f} frames/s{away}, {self._events.touches} touches, {dropped} frames dropped"
-        self._notifier.send(STATUS=status)
+        self._send(STATUS=status)
         self._status_s, self._reported = now_s, frames
+
+    def _send(self, **fields: str | int) -> None:
+        """Send fields such as READY=1; a manager that does not take them is ignored."""
+        if self._address:
+            message = "\n".join(f"{name}={value}" for name, value in fields.items())
+            with suppress(OSError):
+                self._socket.sendto(message.encode(), self._address)

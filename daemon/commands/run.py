@@ -13,7 +13,7 @@ import msgspec
 
 from touchd.daemon.app.config import ConfigError, Settings, config_errors
 from touchd.daemon.app.log import LogWriter
-from touchd.daemon.app.systemd import Health, Notifier
+from touchd.daemon.app.systemd import Health
 from touchd.daemon.commands.settings import Found, add_config, find_settings, only_pad, parsed
 from touchd.daemon.live.address import EVERY_ADDRESS, parse_address, qr_code, urls_of
 from touchd.daemon.path.events import Event, RobotEvent, encode
@@ -124,10 +124,9 @@ def main(arguments: Sequence[str]) -> int:
         logging.getLogger().addHandler(handler)
         log.info("%s; journal: %s", found, settings.journal.file if settings.journal else "none")
         favour_latency()
-        # To systemd, if that started this process.
-        notifier = Notifier(os.environ)
-        closing.callback(notifier.close)
-        service.run(Health(notifier, service.pads, service.events).reporting(signals.must_stop))
+        health = Health(os.environ, service.pads, service.events)
+        closing.callback(health.close)
+        service.run(health.reporting(signals.must_stop))
     return 0
 
 

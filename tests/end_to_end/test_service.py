@@ -9,7 +9,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -26,11 +26,11 @@ from rigs.wait import AT_ONCE_S, WITHIN_S
 
 from touchd.daemon.app.config import JournalSettings, PadSettings, SensorSettings, Settings
 from touchd.daemon.app.parts import PadChannel
-from touchd.daemon.app.systemd import Health, Notifier
+from touchd.daemon.app.systemd import Health
 from touchd.daemon.path.events import Event, SensorEvent, TouchEnded, encode
 from touchd.daemon.path.service import Service
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
-from touchd.daemon.sinks.sink import LinesSink
+from touchd.daemon.sinks.sink import EventFanout, LinesSink
 from touchd.daemon.sinks.touches import decode
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import Frame
@@ -67,21 +67,24 @@ class Watched:
 
 @pytest.fixture
 def watched(manager: Manager) -> Iterator[Watched]:
-    notifier = Notifier(manager.environ)
     settings = Settings(sensors={name: PadSettings(port=f"/dev/{name}") for name in ("pad", "arm")})
     service = Service(settings)
     pad, arm = service.pads
-    health, asked = Health(notifier, service.pads, service.events), list[bool]()
+    health, asked = Health(manager.environ, service.pads, service.events), list[bool]()
     yield Watched(health, pad, arm, health.reporting(lambda: bool(asked)), asked)
-    notifier.close()
+    health.close()
+
+
+def stopping(environ: dict[str, str]) -> float:
+    """Tell a manager that the daemon stops; return how often it has to be fed, in seconds."""
+    with closing(Health(environ, (), EventFanout())) as health:
+        assert health.reporting(lambda: True)()
+        return health.watchdog_s
 
 
 @pytest.mark.parametrize("environ", [{}, {"NOTIFY_SOCKET": "/nowhere/nobody"}])
 def test_without_a_service_manager_nothing_fails(environ: dict[str, str]) -> None:
-    notifier = Notifier(environ)
-    notifier.send(READY=1)
-    assert notifier.watchdog_s == 0
-    notifier.close()
+    assert stopping(environ) == 0
 
 
 def test_a_service_manager_in_the_abstract_namespace_is_notified() -> None:
@@ -89,15 +92,13 @@ def test_a_service_manager_in_the_abstract_namespace_is_notified() -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
         manager.bind(f"\0{name}")
         manager.setblocking(False)
-        notifier = Notifier({"NOTIFY_SOCKET": f"@{name}"})
-        notifier.send(READY=1)
-        notifier.close()
-        assert manager.recv(100) == b"READY=1"
+        stopping({"NOTIFY_SOCKET": f"@{name}"})
+        assert manager.recv(100) == b"STOPPING=1"
 
 
 def test_a_watchdog_for_another_process_is_ignored() -> None:
-    assert Notifier({"WATCHDOG_USEC": "1000000", "WATCHDOG_PID": "1"}).watchdog_s == 0
-    assert Notifier({"WATCHDOG_USEC": "1000000", "WATCHDOG_PID": str(os.getpid())}).watchdog_s == 1.0
+    assert stopping({"WATCHDOG_USEC": "1000000", "WATCHDOG_PID": "1"}) == 0
+    assert stopping({"WATCHDOG_USEC": "1000000", "WATCHDOG_PID": str(os.getpid())}) == 1.0
 
 
 def test_ready_is_sent_once_the_pads_state_is_known(manager: Manager, watched: Watched) -> None:
