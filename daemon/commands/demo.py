@@ -54,6 +54,8 @@ ACTIONS = (
     ActionRule(do=(Action(animated_say="Oh, it is {phrase}!"),), changed=True),
     ActionRule(do=(Action(say="What was that?"),), gestures=(OTHER, UNCERTAIN)),
 )
+SETTINGS = Settings(scene=SceneSettings(actions=ACTIONS))
+WORDS = words_of(SETTINGS)
 NEXT = """
 What to try next:
   {touchd} demo --live    a page in your browser on which you touch the pad yourself
@@ -66,24 +68,23 @@ What to try next:
 class PlainLines:
     """Output without a terminal: one line for each event."""
 
-    def __init__(self, settings: Settings) -> None:
-        self._words = words_of(settings)
-
     def show_frame(self, pressure: Counts, sensor_ms: int) -> None:
         """Do nothing: lines cannot show a moving pad."""
 
     def note(self, text: str) -> None:
         """Write a line, from any thread; a closed output is ignored here and detected by `put`."""
         with suppress(BrokenPipeError):
-            sys.stdout.write(f"{text}\n")
-            sys.stdout.flush()
+            self._write(text)
 
     # Shows what the hand does next.
     doing = note
 
     def put(self, event: Event) -> None:
         """Write an event in words; raises BrokenPipeError when the reader has gone."""
-        sys.stdout.write(f"{describe(event, self._words)}\n")
+        self._write(describe(event, WORDS))
+
+    def _write(self, line: str) -> None:
+        sys.stdout.write(f"{line}\n")
         sys.stdout.flush()
 
 
@@ -99,65 +100,62 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str]) -> int:
     """Show the daemon at work for less than a minute, or with a live page until Ctrl-C; returns 0."""
     options = parser().parse_args(arguments)
-    settings = Settings(scene=SceneSettings(actions=ACTIONS))
     if options.live is not None:
-        return _be_touched(parse_address(options.live, None), settings)
+        return _be_touched(parse_address(options.live, None))
     stream = splice(read_recordings(DEMO_RECORDING))
     with ExitStack() as closing:
-        show = _show(closing, settings)
-        port = closing.enter_context(FakePort(stream, _showing(stream, show, settings), speed=PACE))
-        told = _run(port, show, closing, settings)
+        show = _show(closing)
+        port = closing.enter_context(FakePort(stream, _showing(stream, show), speed=PACE))
+        told = _run(closing, show, port, SETTINGS)
     did = [span.gesture for span in stream.spans if span.gesture != NO_TOUCH]
-    summary = f"\nThe simulated hand did:  {_names(did, settings)}\nThe robot was told:      "
-    sys.stdout.write(f"{summary}{_names(told, settings)}\n{NEXT.format(touchd=program_name())}")
+    summary = f"\nThe simulated hand did:  {_names(did)}\nThe robot was told:      {_names(told)}\n"
+    sys.stdout.write(summary + NEXT.format(touchd=program_name()))
     return 0
 
 
-def _be_touched(live: LiveSettings, settings: Settings) -> int:
+def _be_touched(live: LiveSettings) -> int:
     """Run until Ctrl-C with a page on which viewers touch the simulated pad; returns 0."""
     robot = RobotSettings(url="tcp://localhost:9559")
-    shown = msgspec.structs.replace(settings, live=live, robot=robot)
+    shown = msgspec.structs.replace(SETTINGS, live=live, robot=robot)
     rng = RandomState()
     with ExitStack() as closing:
         page = serve_page(closing, shown, Classifier.load())
-        show = _show(closing, settings, page.urls, live.host in EVERY_ADDRESS)
+        show = _show(closing, page.urls, live.host in EVERY_ADDRESS)
 
         def show_frame(pressure: Counts, sensor_ms: int) -> None:
             show.show_frame(pressure, sensor_ms)
             page.show_frame(pressure, sensor_ms)
 
-        hand = PlayedHand(tuple(PLAYED), EVERY_S, rng, partial(_begins, show, settings))
+        hand = PlayedHand(tuple(PLAYED), EVERY_S, rng, partial(_begins, show))
         pad = SimulatedPad(rng, hand, page.touching, show_frame)
-        port = closing.enter_context(LivePort(pad.scan, encoder_for(settings.sensor)))
+        port = closing.enter_context(LivePort(pad.scan, encoder_for(SETTINGS.sensor)))
         show.note(f"live page: {' '.join(page.urls)}   Ctrl-C ends")
         # Live predictions are not events: get them from the daemon's own page, whose address is in its log.
-        inner = msgspec.structs.replace(settings, live=LiveSettings(port=0))
-        _run(port, show, closing, inner, page)
+        inner = msgspec.structs.replace(SETTINGS, live=LiveSettings(port=0))
+        _run(closing, show, port, inner, page)
     return 0
 
 
-def _names(gestures: Iterable[str], settings: Settings) -> str:
-    return ", ".join(name_of(words_of(settings), gesture) for gesture in gestures)
+def _names(gestures: Iterable[str]) -> str:
+    return ", ".join(name_of(WORDS, gesture) for gesture in gestures)
 
 
-def _show(
-    closing: ExitStack, settings: Settings, urls: Sequence[str] = (), is_for_phones: bool = False
-) -> Show:
+def _show(closing: ExitStack, urls: Sequence[str] = (), is_for_phones: bool = False) -> Show:
     """Return the view on a terminal that can draw it, else plain lines.
 
     urls: of the live page. is_for_phones: show the first one as a QR code too.
     """
     console = Console()
     if not console.is_terminal or console.is_dumb_terminal:
-        return PlainLines(settings)
+        return PlainLines()
     title, code = " ".join(urls) or "the daemon at work", qr_code(urls[0]) if is_for_phones else ""
-    return closing.enter_context(View(title, settings, console=console, card=code))
+    return closing.enter_context(View(title, SETTINGS, console=console, card=code))
 
 
 def _run(
-    port: FakePort | LivePort,
-    show: Show,
     closing: ExitStack,
+    show: Show,
+    port: FakePort | LivePort,
     settings: Settings,
     page: TouchPage | None = None,
 ) -> Sequence[str]:
@@ -194,20 +192,20 @@ def _end(port: FakePort, daemon: SpawnedDaemon) -> None:
     daemon.process.terminate()
 
 
-def _begins(show: Show, settings: Settings, gesture: str) -> None:
-    show.doing(f"the simulated hand: {_names([gesture], settings)}")
+def _begins(show: Show, gesture: str) -> None:
+    show.doing(f"the simulated hand: {_names([gesture])}")
 
 
-def _showing(stream: Stream, show: Show, settings: Settings) -> Callable[[Counts, int], bytes]:
+def _showing(stream: Stream, show: Show) -> Callable[[Counts, int], bytes]:
     """Return the pad's encoder, which also shows the frames, and names each gesture as it begins."""
-    encode = encoder_for(settings.sensor)
+    encode = encoder_for(SETTINGS.sensor)
     touches = (span for span in stream.spans if span.gesture != NO_TOUCH)
     begins = {int(stream.sensor_ms[span.start]): span.gesture for span in touches}
 
     def shown(counts: Counts, sensor_ms: int) -> bytes:
         show.show_frame(counts, sensor_ms)
         if sensor_ms in begins:
-            _begins(show, settings, begins[sensor_ms])
+            _begins(show, begins[sensor_ms])
         return encode(counts, sensor_ms)
 
     return shown
