@@ -17,7 +17,7 @@ from rigs.login_gate import Gate, Login
 from rigs.made_events import PREDICTION
 from rigs.sockets import free_port
 from rigs.stub_robot import StubRobot
-from rigs.wait import SOON_S
+from rigs.wait import wait_for
 
 from touchd.daemon.path.events import timestamp
 from touchd.daemon.robot.sink import detail_of
@@ -133,20 +133,14 @@ class States:
 
     def __init__(self) -> None:
         self.told: list[tuple[str, str]] = []
-        self._changed = threading.Condition()
 
     def __call__(self, state: str, reason: str) -> None:
-        with self._changed:
-            self.told.append((state, reason))
-            self._changed.notify_all()
+        self.told.append((state, reason))
 
-    def wait_for(self, *states: str, timeout_s: float = SOON_S) -> str:
+    def wait_for(self, *states: str) -> str:
         """Wait until exactly these states were reported; returns the reason of the last."""
-        with self._changed:
-            assert self._changed.wait_for(
-                lambda: [*states] == [state for state, _ in self.told], timeout_s
-            ), self.told
-            return self.told[-1][1]
+        wait_for(lambda: [*states] == [state for state, _ in self.told])
+        return self.told[-1][1]
 
 
 @contextmanager
@@ -168,23 +162,6 @@ def linked(
         yield link, states
     finally:
         link.stop()
-
-
-def reach(state: str, robot: Robot, link: RobotLink, states: States) -> None:
-    """Wait until a link is in a state."""
-    states.wait_for("up")
-    if state == "busy":
-        answer(link)
-        robot.calls.wait_for(lambda call: call.method == "say")
-    elif state == "killed":
-        robot.kill()
-        states.wait_for("up", "down")
-    elif state in ("hung", "hung-connect"):
-        robot.hang()
-        link.put(*message())
-    if state == "hung-connect":
-        states.wait_for("up", "down")
-        time.sleep(0.3)
 
 
 def link_threads() -> list[str]:
