@@ -1,6 +1,6 @@
 """Parts of the view: the pad, words in large letters, the probabilities as bars, the time line of a touch."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from itertools import groupby
 from typing import NamedTuple
@@ -67,8 +67,6 @@ SHORTEST_S, AFTER_FINAL = 4.0, 1.5
 LIGHT_LOAD = 600.0
 STEPS = " ▁▂▃▄▅▆▇█"
 
-Cells = list[list[tuple[str, Style]]]
-
 
 def pad_picture(pressure: NDArray[np.float64], scale: int, console: Console) -> list[Text]:
     """Return (8, 8) counts above rest as 4 * scale lines of 8 * scale characters."""
@@ -79,17 +77,13 @@ def pad_picture(pressure: NDArray[np.float64], scale: int, console: Console) -> 
         at = np.minimum((pixels[::2] * len(CHARACTERS)).astype(int), len(CHARACTERS) - 1)
         return [Text("".join(CHARACTERS[i] for i in row)) for row in at.tolist()]
     shades = np.rint(pixels * (SHADES - 1)).astype(int).tolist()
-    return [
-        joined(("▀", _halves(*both)) for both in zip(upper, lower, strict=True))
-        for upper, lower in zip(shades[::2], shades[1::2], strict=True)
-    ]
+    return [_pad_line(*pair) for pair in zip(shades[::2], shades[1::2], strict=True)]
 
 
-def joined(cells: Iterable[tuple[str, Style]]) -> Text:
-    """Return a line of characters with their styles."""
+def _pad_line(upper: Sequence[int], lower: Sequence[int]) -> Text:
     line = Text()
-    for style, run in groupby(cells, key=lambda cell: cell[1]):
-        line.append("".join(character for character, _ in run), style)
+    for pair, run in groupby(zip(upper, lower, strict=True)):
+        line.append("▀" * len(list(run)), _halves(*pair))
     return line
 
 
@@ -181,61 +175,58 @@ def time_line(
     """
     width, height = size
     end_s = max(SHORTEST_S, marks_s[-1] * AFTER_FINAL)
-    cells: Cells = [[(" ", PAPER)] * width for _ in range(height - 1)]
-    _draw_trace(cells, trace, end_s)
-    reached_s = trace[-1][0] if trace else 0.0
-    for mark_s in marks_s:
-        mark = ("│", MUTED) if reached_s >= mark_s else ("┊", RAIL)
-        for row in cells:
-            row[_column(mark_s, end_s, width)] = mark
-    _draw_flags(cells, flags, end_s)
-    return [*map(joined, cells), Text(_labels(marks_s, end_s, width), MUTED)]
 
+    def column(at_s: float) -> int:
+        return min(int(at_s / end_s * width), width - 1)
 
-def _column(at_s: float, end_s: float, width: int) -> int:
-    return min(int(at_s / end_s * width), width - 1)
-
-
-def _draw_trace(cells: Cells, trace: Sequence[tuple[float, float]], end_s: float) -> None:
-    rows, width = len(cells), len(cells[0])
-    loads: dict[int, float] = {}
+    loads = [0.0] * width
     for at_s, load in trace:
-        if 0 <= at_s < end_s:
-            column = _column(at_s, end_s, width)
-            loads[column] = max(loads.get(column, 0.0), load)
-    peak = max([LIGHT_LOAD, *loads.values()])
-    for column, load in loads.items():
-        # The square root makes light touches visible, as on the live page.
-        eighths = round((load / peak) ** 0.5 * rows * 8)
-        for row in range(rows):
-            step = min(max(eighths - 8 * (rows - 1 - row), 0), 8)
-            cells[row][column] = (STEPS[step], TRACE)
-
-
-def _draw_flags(cells: Cells, flags: Sequence[Flag], end_s: float) -> None:
-    """Put each flag a row below the one before; after the lowest row comes the highest."""
-    width = len(cells[0])
+        if at_s < end_s:
+            loads[column(at_s)] = max(loads[column(at_s)], load)
+    reached_s = trace[-1][0] if trace else 0.0
+    marks = [(column(mark_s), reached_s >= mark_s) for mark_s in marks_s]
+    lines = [_with_marks(steps, marks) for steps in _steps(loads, height - 1)]
+    # Each flag a row below the one before; after the lowest row comes the highest.
     for number, flag in enumerate(flags):
-        text = f" {flag.text} "[: width - 1]
-        mark = _column(flag.at_s, end_s, width)
-        style = CHANGED_FLAG if flag.changed else ACCENT_FLAG
-        pole = style + (CHANGED if flag.changed else ACCENT)
-        cell = [(character, style) for character in text]
-        row = cells[number % len(cells)]
-        # Without room to the right of the mark, the flag hangs to its left.
-        if mark + len(text) + 1 > width:
-            first = max(mark - len(text), 0)
-            row[first : first + len(cell) + 1] = [*cell, ("▐", pole)]
-        else:
-            row[mark : mark + len(cell) + 1] = [("▌", pole), *cell]
+        row = number % len(lines)
+        lines[row] = _with_flag(lines[row], flag, column(flag.at_s))
+    return [*lines, Text(_labels(marks_s, column, width), MUTED)]
 
 
-def _labels(marks_s: Sequence[float], end_s: float, width: int) -> str:
+def _steps(loads: Sequence[float], height: int) -> list[list[str]]:
+    """Return pressure as the block characters of lines, the highest line first."""
+    peak = max(LIGHT_LOAD, *loads)
+    # The square root makes light touches visible, as on the live page.
+    eighths = [round((load / peak) ** 0.5 * height * 8) for load in loads]
+    return [[STEPS[min(max(n - 8 * row, 0), 8)] for n in eighths] for row in reversed(range(height))]
+
+
+def _with_marks(steps: list[str], marks: Sequence[tuple[int, bool]]) -> Text:
+    """Return a line with marks. marks: the column of each, and whether the touch has reached it."""
+    for column, is_reached in marks:
+        steps[column] = "│" if is_reached else "┊"
+    line = Text("".join(steps), TRACE)
+    for column, is_reached in marks:
+        line.stylize(MUTED if is_reached else RAIL, column, column + 1)
+    return line
+
+
+def _with_flag(line: Text, flag: Flag, column: int) -> Text:
+    style = CHANGED_FLAG if flag.changed else ACCENT_FLAG
+    text, pole = f" {flag.text} "[: len(line) - 1], style + (CHANGED if flag.changed else ACCENT)
+    drawn = Text.assemble(("▌", pole), (text, style))
+    # Without room to the right of the mark, the flag hangs to its left.
+    if column + len(drawn) > len(line):
+        column, drawn = max(column - len(text), 0), Text.assemble((text, style), ("▐", pole))
+    return Text.assemble(line[:column], drawn, line[column + len(drawn) :])
+
+
+def _labels(marks_s: Sequence[float], column: Callable[[float], int], width: int) -> str:
     line = " " * width
     # The last label first: where there is room for one alone, it names the end.
     for mark_s in (marks_s[-1], *marks_s[:-1]):
         text = f" {mark_s:.3g} s "
-        start = min(max(_column(mark_s, end_s, width) - len(text) // 2, 0), width - len(text))
+        start = min(max(column(mark_s) - len(text) // 2, 0), width - len(text))
         if not line[start : start + len(text)].strip():
             line = line[:start] + text + line[start + len(text) :]
     return line
