@@ -228,14 +228,11 @@ def test_the_page_follows_the_browsers_settings(played: WatchedPage) -> None:
     # The page loads again when the colours change.
     bar = "const bar = document.querySelector('#bars i'); "
     moving = bar + "return bar && getComputedStyle(bar).transitionProperty"
-    # Colours otherwise change gradually.
-    prefer(played.chrome, color_scheme="light", reduced_motion="reduce")
-    wait_for(lambda: brightness() > 200)
-    wait_for(lambda: played.run(moving) == "none")
     prefer(played.chrome, color_scheme="dark", reduced_motion="reduce")
-    wait_for(lambda: brightness() < 50)
+    wait_for(lambda: brightness() < 50 and played.run(moving) == "none")
+    prefer(played.chrome, color_scheme="light")
+    wait_for(lambda: brightness() > 200 and played.run(moving) not in (None, "none"))
     prefer(played.chrome)
-    wait_for(lambda: played.run(moving) not in (None, "none"))
     wait_for(lambda: len(listed(played.chrome)) == 3)
 
 

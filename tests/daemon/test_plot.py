@@ -2,7 +2,6 @@
 
 import dataclasses
 import os
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ pytest.importorskip("matplotlib", reason="matplotlib is not installed")
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from rigs.made_events import PREDICTION
-from rigs.programs import ran
+from rigs.programs import TOUCHD, ran
 
 from touchd.daemon.app import cli
 from touchd.daemon.app.config import Settings
@@ -55,9 +54,7 @@ def test_touches_are_placed_where_they_truly_began_and_ended(demo: Trace) -> Non
         assert demo.starts_s[number] == pytest.approx(demo.time_s[span.start], abs=0.2)
         assert demo.ends_s(number) == pytest.approx(demo.time_s[span.stop - 1], abs=0.3)
         assert demo.truth(number) == span.gesture
-
-
-def test_pressure_is_drawn_above_rest(demo: Trace) -> None:
+    # Pressure is above rest.
     load = demo.rise.sum(axis=(1, 2))
     rest, rub = demo.stream.spans[:2]
     assert abs(load[rest.start : rest.stop].mean()) < 10
@@ -124,11 +121,18 @@ def recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "mine.csv.gz"
 
 
-def test_a_picture_is_written_to_the_working_folder(recorded: Path) -> None:
-    # A notebook sets a backend of its own.
-    environment = {**os.environ, "MPLBACKEND": "module://nonsense"}
-    done = ran([sys.executable, "-m", "touchd.daemon", "plot", str(recorded)], env=environment)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "mine.png\n", "")
+def test_a_notebooks_backend_does_not_matter() -> None:
+    environment = {**os.environ, "MPLBACKEND": "nonsense"}
+    done = ran([*TOUCHD, "plot", "-o", "mine.csv"], env=environment)
+    # Matplotlib has been loaded.
+    assert "unknown format" in done.stderr
+
+
+def test_a_picture_is_written_to_the_working_folder(
+    recorded: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["plot", str(recorded)]) == 0
+    assert capsys.readouterr().out == "mine.png\n"
     assert Path("mine.png").read_bytes().startswith(PNG)
     # As from an old disk, not in UTF-8.
     odd = recorded.rename(recorded.with_name(os.fsdecode(b"m\xe4rz.csv.gz")))
