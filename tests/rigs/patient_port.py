@@ -6,10 +6,10 @@ from contextlib import suppress
 from pathlib import Path
 
 from rigs.expectations import stream_of
-from rigs.line_faults import FaultyPort
 
 from touchd.daemon.app.config import SceneSettings, SensorSettings
 from touchd.daemon.playback.rig import encoder_for
+from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.recording import Stream
 
 # A tenth of the daemon's queue.
@@ -23,7 +23,7 @@ LONGEST_S = 0.5
 PATIENT = SceneSettings(stale_s=60.0)
 
 
-class PatientPort(FaultyPort):
+class PatientPort(FakePort):
     """A fake port that lets the daemon process a second's frames before it sends more.
 
     reader: the daemon's process; until it is set, the port only keeps its pace.
