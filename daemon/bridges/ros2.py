@@ -4,7 +4,6 @@ cyclonedds reads the annotations at run time, so do not use `from __future__ imp
 """
 
 import logging
-import socket
 import time
 from dataclasses import dataclass
 
@@ -103,7 +102,7 @@ class Ros2Outlet:
         self._addresses, self._looked_s = set(own_addresses()), time.monotonic()
         self._faults = FaultLog(logging.getLogger(__name__))
         try:
-            participant = DomainParticipant(domain, Qos(Policy.EntityName(f"touchd_{socket.gethostname()}")))
+            participant = DomainParticipant(domain)
         except DDSException as error:
             raise BridgeError(f"no network for DDS ({str(error).splitlines()[0]})") from error
         publisher = Publisher(participant)
