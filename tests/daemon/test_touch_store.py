@@ -4,7 +4,7 @@ import gzip
 import os
 import shutil
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -99,34 +99,62 @@ def test_a_kept_touch_is_what_the_pad_sent(store: TouchStore, tmp_path: Path) ->
     assert "# taken for: stroke (released)" in told
 
 
+EVERY_100 = range(0, 3000, 100)
+
+
+@pytest.mark.parametrize("since_ms", [0, 2**32 - 1300], ids=["", "over the wrap"])
 @pytest.mark.parametrize(
-    ("period_ms", "began_at_ms", "touch_ms", "kept_ms"),
+    ("times_ms", "found_ms", "first_ms", "last_ms", "reason", "pieces"),
     [
-        (2, 4000, (3200, 5900), (2200, 3200, 5900)),
-        (18, 4000, (3200, 90_000), (2200, 3200, 1000 + 18 * LONGEST_FRAMES)),
+        (EVERY_100, 2900, 1200, 1500, "released", [(200, 1100), (1200, 1500), (1600, 2900)]),
+        (EVERY_100, 2900, 1150, 1499, "released", [(200, 1100), (1200, 1400), (1500, 2900)]),
+        (EVERY_100, 2900, 300, 2900, "released", [(0, 200), (300, 2900)]),
+        (EVERY_100, 2900, 1200, 1200, "released", [(200, 1100), (1200, 1200), (1300, 2900)]),
+        (EVERY_100, 2900, 0, 3500, "released", [(0, 2900)]),
+        # What follows a touch that was not released is no quiet.
+        (EVERY_100, 2900, 1200, 1500, "settled", [(200, 1100), (1200, 1500)]),
+        # A fast pad, and a touch that never ends.
+        (range(0, 7000, 2), 4000, 3200, 5900, "released", [(2200, 3198), (3200, 5900), (5902, 6998)]),
+        (
+            range(0, 90_000, 20),
+            4000,
+            3200,
+            80_000,
+            "released",
+            [(2200, 3180), (3200, 980 + 20 * LONGEST_FRAMES)],
+        ),
+        # Frames beyond a gap of more than a second are not kept.
+        (
+            [100, 200, 1200, 1300, 2300, 2400],
+            1200,
+            1200,
+            2300,
+            "released",
+            [(200, 200), (1200, 2300), (2400, 2400)],
+        ),
+        ([100, 200, 1201, 1301, 2302, 2402], 1201, 1201, 2302, "released", [(1201, 1301)]),
     ],
-    ids=["a fast pad, from its beginning", "one that never ends, for a minute"],
 )
-def test_a_touch_is_kept_in_bounds(
+def test_rest_touch_and_quiet_are_kept_in_bounds(
     store: TouchStore,
-    tmp_path: Path,
-    period_ms: int,
-    began_at_ms: int,
-    touch_ms: tuple[int, int],
-    kept_ms: tuple[int, int, int],
+    since_ms: int,
+    times_ms: Sequence[int],
+    found_ms: int,
+    first_ms: int,
+    last_ms: int,
+    reason: Any,
+    pieces: list[tuple[int, int]],
 ) -> None:
-    touch, counts = ended_touch(1), np.zeros((8, 8), np.uint16)
+    touch, change = ended_touch(1), msgspec.structs.replace
     with sinking(store) as sink:
-        for ms in range(0, touch_ms[1] + 1000, period_ms):
-            sink.put_frame(Frame(ms, 0.0, counts))
-            if ms - period_ms < began_at_ms <= ms:
-                sink.put(msgspec.structs.replace(touch.began, sensor_ms=touch_ms[0]))
-        sink.put(msgspec.structs.replace(touch.ended, sensor_ms=touch_ms[1]))
-    (kept,) = kept_touches(tmp_path / "touches")
-    frames = read_frames(kept)
-    assert frames.before is not None
-    times_ms = [frames.before.sensor_ms[0], *frames.touch.sensor_ms[[0, -1]]]
-    assert times_ms == pytest.approx(kept_ms, abs=period_ms)
+        for ms in times_ms:
+            sink.put_frame(Frame((since_ms + ms) % 2**32, 0.0, touch.frames[0].pressure))
+            if ms == found_ms:
+                sink.put(change(touch.began, sensor_ms=(since_ms + first_ms) % 2**32))
+        sink.put(change(touch.ended, sensor_ms=(since_ms + last_ms) % 2**32, reason=reason))
+    (kept,) = kept_touches(store._folder)
+    clocks = [(part.sensor_ms - since_ms) % 2**32 for part in read_recordings(kept.path)]
+    assert [(clock[0], clock[-1]) for clock in clocks] == pieces
 
 
 def test_only_the_last_touches_are_kept(tmp_path: Path) -> None:
@@ -253,35 +281,6 @@ def test_only_what_a_kill_left_unfinished_is_deleted_at_the_start(tmp_path: Path
     }
 
 
-def times_kept(first_ms: int, last_ms: int, since_ms: int = 0, reason: Any = "released") -> list[list[int]]:
-    """Return the times of rest, touch and quiet of a touch, of frames every 100 ms for 3 s."""
-    counts = np.zeros((8, 8), np.uint16)
-    frames = tuple(Frame((since_ms + ms) % 2**32, 0.0, counts) for ms in range(0, 3000, 100))
-    touch = ended_touch(1)
-    began = msgspec.structs.replace(touch.began, sensor_ms=(since_ms + first_ms) % 2**32)
-    ended = msgspec.structs.replace(touch.ended, sensor_ms=(since_ms + last_ms) % 2**32, reason=reason)
-    found = EndedTouch(began, ended, frames).recordings()
-    return [((part.sensor_ms - since_ms) % 2**32).tolist() for part in found]
-
-
-@pytest.mark.parametrize("since_ms", [0, 2**32 - 1300], ids=["", "over the wrap"])
-@pytest.mark.parametrize(
-    ("first_ms", "last_ms", "expected"),
-    [
-        (1200, 1500, [range(200, 1200, 100), range(1200, 1501, 100), range(1600, 3000, 100)]),
-        (1150, 1499, [range(200, 1200, 100), range(1200, 1500, 100), range(1500, 3000, 100)]),
-        (300, 2900, [range(0, 300, 100), range(300, 2901, 100)]),
-        (1200, 1200, [range(200, 1200, 100), [1200], range(1300, 3000, 100)]),
-        (0, 3500, [range(0, 3000, 100)]),
-    ],
-    ids=["a touch", "between frames", "to the end", "one frame", "longer than the frames"],
-)
-def test_frames_are_cut_where_the_touch_begins_and_ends(
-    since_ms: int, first_ms: int, last_ms: int, expected: list[range]
-) -> None:
-    assert times_kept(first_ms, last_ms, since_ms) == [list(times) for times in expected]
-
-
 def test_rest_holds_nothing_of_an_earlier_touch(store: TouchStore, tmp_path: Path) -> None:
     touch, change = ended_touch(1), msgspec.structs.replace
     with sinking(store) as sink:
@@ -295,28 +294,6 @@ def test_rest_holds_nothing_of_an_earlier_touch(store: TouchStore, tmp_path: Pat
     assert first.before.sensor_ms.tolist() == list(range(0, 1000, 100))
     assert second.before is not None
     assert second.before.sensor_ms.tolist() == [1600, 1700]
-
-
-def test_only_a_released_touch_is_followed_by_quiet() -> None:
-    assert len(times_kept(200, 300)) == 3
-    assert len(times_kept(200, 300, reason="settled")) == 2
-
-
-@pytest.mark.parametrize(("gap_ms", "is_whole"), [(1000, True), (1001, False)])
-def test_frames_beyond_a_gap_are_not_kept(
-    store: TouchStore, tmp_path: Path, gap_ms: int, is_whole: bool
-) -> None:
-    touch, first_ms, last_ms = ended_touch(1), 200 + gap_ms, 300 + 2 * gap_ms
-    with sinking(store) as sink:
-        for ms in (100, 200, first_ms, first_ms + 100, last_ms, last_ms + 100):
-            sink.put_frame(Frame(ms, 0.0, touch.frames[0].pressure))
-            if ms == first_ms:
-                sink.put(msgspec.structs.replace(touch.began, sensor_ms=first_ms))
-        sink.put(msgspec.structs.replace(touch.ended, sensor_ms=last_ms))
-    (kept,) = kept_touches(tmp_path / "touches")
-    frames = read_frames(kept)
-    assert frames.touch.sensor_ms.tolist() == [first_ms, first_ms + 100, last_ms][: 3 if is_whole else 2]
-    assert (frames.before is not None) == is_whole
 
 
 def test_a_folder_that_fails_loses_touches_and_says_so_once(
