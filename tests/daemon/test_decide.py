@@ -223,8 +223,8 @@ def test_stages_out_of_order_are_refused(stages: tuple[int, int, int]) -> None:
 @pytest.mark.parametrize(
     ("is_over", "said", "is_sure"),
     [
-        (False, {"pat": 0.6}, True),
-        (False, {"pat": 0.59}, False),
+        (False, {"pat": 0.5, "rub": 0.25, "notouch": 0.25}, True),
+        (False, {"pat": 0.49, "rub": 0.25, "notouch": 0.26}, False),
         (False, {"notouch": 0.9}, False),
         (True, {"pat": 0.27, "rub": 0.1, "stroke": 0.1}, True),
         (True, {"pat": 0.26, "rub": 0.1, "stroke": 0.1}, False),
@@ -234,7 +234,7 @@ def test_stages_out_of_order_are_refused(stages: tuple[int, int, int]) -> None:
 def test_half_a_second_off_the_pad_final_above_is_enough(
     is_over: bool, said: dict[str, float], is_sure: bool
 ) -> None:
-    decision = Decision(DecisionSettings(speak_above=0.6, final_above=0.3), LABELS)
+    decision = Decision(DecisionSettings(speak_above=0.5, final_above=0.3), LABELS)
     assert decision.is_sure_of_released(probabilities(**said), is_over=is_over) == is_sure
 
 
