@@ -28,7 +28,7 @@ from touchd.daemon.robot.words import name_of, words_of
 from touchd.daemon.view.describe import describe
 from touchd.daemon.view.view import View
 from touchd.drivers.fakes.fake_port import FakePort, LivePort
-from touchd.drivers.fakes.hand import PLAYED, PlayedHand, SimulatedPad
+from touchd.drivers.fakes.hand import PLAYED, SimulatedPad
 from touchd.drivers.fakes.loopback_robot import LoopbackRobot
 from touchd.drivers.frame import NO_TOUCH, OTHER, Counts
 from touchd.drivers.installed import program_name
@@ -126,8 +126,8 @@ def _be_touched(live: LiveSettings) -> int:
             show.show_frame(pressure, sensor_ms)
             page.show_frame(pressure, sensor_ms)
 
-        hand = PlayedHand(tuple(PLAYED), EVERY_S, rng, partial(_begins, show))
-        pad = SimulatedPad(rng, hand, page.touching, show_frame)
+        begins = partial(_begins, show)
+        pad = SimulatedPad(rng, tuple(PLAYED), EVERY_S, page.touching, begins, show_frame)
         port = closing.enter_context(LivePort(pad.scan, encoder_for(SETTINGS.sensor)))
         show.note(f"live page: {' '.join(page.urls)}   Ctrl-C ends")
         # Live predictions are not events: get them from the daemon's own page, whose address is in its log.

@@ -17,7 +17,7 @@ from touchd.daemon.commands.settings import add_settings, parsed, settings_of
 from touchd.daemon.live.address import parse_address
 from touchd.daemon.playback.rig import encoder_for
 from touchd.drivers.fakes.fake_port import LivePort
-from touchd.drivers.fakes.hand import PlayedHand, SimulatedPad
+from touchd.drivers.fakes.hand import SimulatedPad
 from touchd.drivers.installed import program_name
 
 if typing.TYPE_CHECKING:
@@ -60,14 +60,12 @@ def parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str]) -> int:
     """Be a pad until Ctrl-C or SIGTERM; returns 0."""
     options = parsed(parser(), arguments)
-    rng = RandomState()
-    hand = PlayedHand(GESTURES, EVERY_S, rng)
     found = settings_of(options)
-    pad = SimulatedPad(rng, hand)
+    pad = SimulatedPad(RandomState(), GESTURES, EVERY_S)
     with ExitStack() as closing:
         if options.live is not None:
             page = serve_page(closing, Settings(live=parse_address(options.live, None)), None)
-            pad = SimulatedPad(rng, hand, page.touching, page.show_frame)
+            pad = SimulatedPad(RandomState(), GESTURES, EVERY_S, page.touching, on_frame=page.show_frame)
             sys.stdout.write(f"live page: {' '.join(page.urls)}\n")
         port = closing.enter_context(LivePort(pad.scan, encoder_for(found.settings.sensor)))
         file = f" -c {shlex.quote(str(found.file))}" if found.file else ""

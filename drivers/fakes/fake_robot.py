@@ -15,7 +15,7 @@ import msgspec
 
 from touchd.drivers.errors import os_errors_as, within
 from touchd.drivers.fakes.qi_server import QiServer
-from touchd.drivers.fakes.services import SERVICE_NAMES, Call, fake_services
+from touchd.drivers.fakes.services import SERVICES, Call, fake_services
 from touchd.drivers.robot.session import RobotError
 
 LONGEST_S = 9999.0
@@ -31,7 +31,7 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument("--call-s", type=seconds, default=0.0, help="how long every call takes")
     parser.add_argument("--say-s", type=seconds, default=0.0, help="how long speech takes")
     parser.add_argument(
-        "--without", action="append", default=[], choices=SERVICE_NAMES, help="a service to leave out"
+        "--without", action="append", default=[], choices=SERVICES, help="a service to leave out"
     )
     parser.add_argument("--follow-stdin", action="store_true", help="end when standard input does")
     return parser

@@ -133,68 +133,48 @@ class Pointers(Protocol):
         """Return the pointers that press now, by identity."""
 
 
-class PlayedHand:
-    """Does gestures one after another, a little differently each time, one every `every_s` seconds.
+class SimulatedPad:
+    """A pad under a hand that does gestures one after another, and under the pointers of people, if any.
 
-    gestures: of PLAYED; any other is a pause. on_gesture: called as one begins.
+    gestures: of PLAYED, each time a little different, one every `every_s` seconds; any other is a pause.
+    on_gesture: called as one begins. on_frame: receives each frame's counts and clock.
     """
 
     def __init__(
         self,
+        rng: RandomState,
         gestures: Sequence[str],
         every_s: float,
-        rng: RandomState,
-        on_gesture: Callable[[str], None] = lambda gesture: None,
-    ) -> None:
-        self._gestures, self._every_s = itertools.cycle(gestures), every_s
-        self._rng, self._on_gesture = rng, on_gesture
-        self._turn: Iterator[Pointer | None] = iter(())
-
-    def pointer(self, is_wanted: bool) -> Pointer | None:
-        """Return where it presses in the next frame; if it is not wanted, lift off and drop the gesture."""
-        if not is_wanted:
-            self._turn = iter(())
-            return None
-        for pointer in self._turn:
-            return pointer
-        self._turn = self._play(next(self._gestures))
-        return next(self._turn)
-
-    def _play(self, gesture: str) -> Iterator[Pointer | None]:
-        """Yield a pause and the touch, frame by frame."""
-        touch_s = min(LONGEST_TOUCH_S, self._every_s - SHORTEST_PAUSE_S) if gesture in PLAYED else 0.0
-        yield from itertools.repeat(None, round((self._every_s - touch_s) * FRAME_RATE_HZ))
-        if gesture in PLAYED:
-            self._on_gesture(gesture)
-            size, make = PLAYED[gesture]
-            path = make(self._rng)
-            for frame in range(round(touch_s * FRAME_RATE_HZ)):
-                place = path(frame / FRAME_RATE_HZ)
-                yield None if place is None else Pointer(*place, size)
-
-
-class SimulatedPad:
-    """A pad under the hand, and under the pointers of people if there can be any.
-
-    on_frame: receives each frame's counts and clock.
-    """
-
-    def __init__(
-        self,
-        rng: RandomState,
-        hand: PlayedHand,
         people: Pointers | None = None,
+        on_gesture: Callable[[str], None] = lambda gesture: None,
         on_frame: Callable[[Counts, int], None] = lambda counts, sensor_ms: None,
     ) -> None:
-        self._fabric, self._hands = Fabric(rng), PressingHands(rng)
-        self._hand, self._people, self._on_frame = hand, people, on_frame
+        self._rng, self._fabric, self._hands = rng, Fabric(rng), PressingHands(rng)
+        self._gestures, self._every_s = itertools.cycle(gestures), every_s
+        self._people, self._on_gesture, self._on_frame = people, on_gesture, on_frame
+        self._turn = self._play()
 
     def scan(self, sensor_ms: int) -> Counts:
         """Return the next frame of counts."""
         pointers = self._people.pointers() if self._people else {}
-        near_s = self._people.near_s if self._people else -math.inf
-        if (own := self._hand.pointer(time.monotonic() - near_s > ALONE_S)) is not None:
+        if self._people and time.monotonic() - self._people.near_s <= ALONE_S:
+            # The hand lifts off, and goes on with the next gesture.
+            self._turn = self._play()
+        elif (own := next(self._turn)) is not None:
             pointers[self] = own
         counts = self._fabric.read(self._hands.frame(pointers))
         self._on_frame(counts, sensor_ms)
         return counts
+
+    def _play(self) -> Iterator[Pointer | None]:
+        """Yield where the hand presses, frame by frame: for each gesture a pause and the touch."""
+        for gesture in self._gestures:
+            touch_s = min(LONGEST_TOUCH_S, self._every_s - SHORTEST_PAUSE_S) if gesture in PLAYED else 0.0
+            yield from itertools.repeat(None, round((self._every_s - touch_s) * FRAME_RATE_HZ))
+            if gesture in PLAYED:
+                self._on_gesture(gesture)
+                size, draw = PLAYED[gesture]
+                path = draw(self._rng)
+                for frame in range(round(touch_s * FRAME_RATE_HZ)):
+                    place = path(frame / FRAME_RATE_HZ)
+                    yield None if place is None else Pointer(*place, size)

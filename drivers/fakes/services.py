@@ -2,7 +2,7 @@
 
 import struct
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 
 import msgspec
 
@@ -117,15 +117,16 @@ class ALSystem(_Service):
         return "2.8.7.4"
 
 
-SPEECH = (ALTextToSpeech, ALAnimatedSpeech)
-OTHERS = (ALMemory, ALBehaviorManager, ALLeds, ALSystem)
-SERVICE_NAMES = tuple(sorted(kind.__name__ for kind in (*OTHERS, *SPEECH)))
+KINDS = (ALAnimatedSpeech, ALBehaviorManager, ALLeds, ALMemory, ALSystem, ALTextToSpeech)
+SERVICES: Mapping[str, type[_Service]] = {kind.__name__: kind for kind in KINDS}
 
 
 def fake_services(
     note: Callable[[Call], None], *, call_s: float = 0.0, say_s: float = 0.0, without: Collection[str] = ()
 ) -> dict[str, object]:
     """Return the services by name, without some. call_s, say_s: seconds that a call, and speech, takes."""
-    services = [*(kind(note, call_s) for kind in OTHERS), *(kind(note, say_s) for kind in SPEECH)]
-    named = {type(service).__name__: service for service in services}
-    return {name: service for name, service in named.items() if name not in without}
+    return {
+        name: kind(note, say_s if issubclass(kind, ALTextToSpeech) else call_s)
+        for name, kind in SERVICES.items()
+        if name not in without
+    }

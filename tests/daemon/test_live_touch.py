@@ -24,7 +24,7 @@ from touchd.daemon.live import touch
 from touchd.daemon.live.page import FOLDER
 from touchd.daemon.live.touch import Touching, TouchPage
 from touchd.drivers.fakes import hand as fake_hand
-from touchd.drivers.fakes.hand import PlayedHand, SimulatedPad
+from touchd.drivers.fakes.hand import SimulatedPad
 from touchd.drivers.fakes.pointers import MOST_PRESSES, Pointer, PressingHands
 from touchd.drivers.pad.sensor import FrameQueue
 
@@ -258,7 +258,7 @@ def test_the_simulated_hand_waits_while_somebody_touches(monkeypatch: pytest.Mon
     rng = np.random.RandomState(1)
     begun: list[str] = []
     touching = Touching()
-    pad = SimulatedPad(rng, PlayedHand(["rub"], 3.0, rng, begun.append), touching)
+    pad = SimulatedPad(rng, ["rub"], 3.0, touching, begun.append)
     loads = [int(pad.scan(0).sum()) for _ in range(150)]
     assert max(loads) > 3 * min(loads)
     assert begun == ["rub"]
