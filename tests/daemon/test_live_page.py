@@ -42,7 +42,7 @@ from touchd.drivers.robot.session import RobotSettings
 from touchd.model.studies.simulated import simulate
 
 pytestmark = pytest.mark.timeout(300)
-SPEED = 10.0
+SPEED = 16.0
 # Time limit for what the page draws at once.
 SOON_S = 20.0
 # Three touches: a pat, a stroke, and one that begins as scratching and goes on as rubbing.

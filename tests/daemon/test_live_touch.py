@@ -103,10 +103,10 @@ class FakePad(NamedTuple):
         ]
         self.chrome.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
 
-    def pressed(self) -> NDArray[np.float64]:
-        """Return the mean of some frames once a press has settled, (8, 8)."""
+    def pressed(self, after: int = 25) -> NDArray[np.float64]:
+        """Return the mean of some frames, (8, 8), after those in which a press settles."""
         self.frames.take_all()
-        return np.mean([frame.pressure for frame in next_frames(self.frames, 35)[-10:]], axis=0)
+        return np.mean([frame.pressure for frame in next_frames(self.frames, after + 10)[after:]], axis=0)
 
 
 @pytest.fixture(scope="module")
@@ -121,7 +121,7 @@ def fake_pad(chrome: Chrome) -> Iterator[FakePad]:
             pad = FakePad(chrome, frames)
             # Nobody has touched it yet: the page invites a touch, and a simulated hand presses.
             wait_for(lambda: chrome.find_element(By.ID, "invitation").text == "Touch here")
-            wait_for(lambda: any(frame.pressure.max() > 15 for frame in next_frames(frames, 54)))
+            wait_for(lambda: any(frame.pressure.max() > 15 for frame in next_frames(frames, 10)))
             pad.mouse("mousePressed", 0.5, 0.5)
             pad.mouse("mouseReleased", 0.5, 0.5)
             yield pad
@@ -132,8 +132,8 @@ def fake_pad(chrome: Chrome) -> Iterator[FakePad]:
 def test_a_pointer_reaches_the_fake_pads_port(fake_pad: FakePad) -> None:
     assert not fake_pad.chrome.find_element(By.ID, "invitation").is_displayed()
     # The simulated hand stays away.
-    wait_for(lambda: fake_pad.pressed().max() < 15)
-    rest = fake_pad.pressed()
+    wait_for(lambda: fake_pad.pressed(0).max() < 15)
+    rest = fake_pad.pressed(0)
     fake_pad.chrome.find_element(By.CSS_SELECTOR, "#sizes label:last-child").click()
     fake_pad.mouse("mousePressed", 0.31, 0.81)
 
@@ -144,7 +144,7 @@ def test_a_pointer_reaches_the_fake_pads_port(fake_pad: FakePad) -> None:
     # Row and column of four fingertips, abreast; an outer one may press most.
     wait_for(lambda: (np.abs(np.subtract(place(), (6.0, 2.0))) < (1.0, 1.8)).all())
     fake_pad.mouse("mouseReleased", 0.31, 0.81)
-    wait_for(lambda: fake_pad.pressed().max() < 15)
+    wait_for(lambda: fake_pad.pressed(0).max() < 15)
 
 
 def test_the_page_of_a_pad_alone_is_filled_with_it(fake_pad: FakePad) -> None:
@@ -182,7 +182,7 @@ def test_fingers_press_where_each_touches(fake_pad: FakePad) -> None:
     fake_pad.fingers("touchStart", (0.19, 0.19), (0.81, 0.81))
     pressed = fake_pad.pressed()
     fake_pad.fingers("touchEnd")
-    left = fake_pad.pressed()
+    left = fake_pad.pressed(12)
     rise = pressed - left
     assert min(rise[1, 1], rise[6, 6]) > 5 * max(rise[1, 6], rise[6, 1])
     assert left.max() < 15
