@@ -42,14 +42,14 @@ def crop(
     """
     B, device = len(chosen), chosen.device
     # A published scan begins two rows early, so that it is cut short by as much.
-    published = _chosen(B, settings.published_framing, rng).long()
+    published = chosen_of(B, settings.published_framing, rng)[..., 0, 0].long()
     count = (frames.lengths[chosen][:, None] - published).float()
     pace = 1.0 + settings.pace * (2.0 * uniform_of(rng, B, 1) - 1.0)
     place = uniform_of(rng, B, 1)
     ticks = torch.arange(length, device=device)
     whole = torch.minimum((place * (count - length + 1)).floor(), count - length) + ticks
     paced = place * (count - 1 - (length - 1) * pace).clamp_min(0.0) + pace * ticks
-    places = torch.where(_chosen(B, settings.change_pace, rng), paced, whole)
+    places = torch.where(chosen_of(B, settings.change_pace, rng)[..., 0, 0], paced, whole)
     # Where a recording is shorter than a window at its pace, its last frame is repeated.
     places = torch.minimum(places, count - 1)
     below = torch.minimum(places.floor(), count - 2)
@@ -68,8 +68,8 @@ def begin_from_rest(
     rise_frames = 1.0 + rise * (settings.onset_frames - 1.0)
     ticks = torch.arange(T, device=windows.device)
     contact = ((ticks - wait * settings.onset_wait_frames) / rise_frames).clamp(0.0, 1.0)
-    contact = torch.where(_chosen(B, settings.onset, rng), contact, 1.0)
-    return torch.lerp(rest, windows, contact[:, :, None, None])
+    contact = torch.where(chosen_of(B, settings.onset, rng), contact[:, :, None, None], 1.0)
+    return torch.lerp(rest, windows, contact)
 
 
 def vary(counts: Tensor, settings: AugmentationSettings, rng: torch.Generator) -> Tensor:
@@ -117,11 +117,11 @@ def _turn_and_shift(x: Tensor, settings: AugmentationSettings, rng: torch.Genera
     quarters = [torch.rot90(grid, turn) for turn in range(4)]
     symmetries = torch.stack([*quarters, *(turned.flip(1) for turned in quarters)]).flatten(1)
     symmetry = torch.randint(len(symmetries), (B,), generator=rng, device=rng.device)
-    turned = symmetries[symmetry * _chosen(B, settings.turn, rng)[:, 0]]
+    turned = symmetries[symmetry * chosen_of(B, settings.turn, rng).flatten()]
 
     def moved(size: int) -> Tensor:
         step = torch.randint(-1, 2, (B, 1), generator=rng, device=rng.device)
-        places = torch.arange(size, device=x.device) + step * _chosen(B, settings.shift, rng)
+        places = torch.arange(size, device=x.device) + step * chosen_of(B, settings.shift, rng)[..., 0, 0]
         return places.clamp(0, size - 1)
 
     place = moved(ROWS)[:, :, None] * COLUMNS + moved(COLUMNS)[:, None, :]
@@ -160,10 +160,8 @@ def _sway(B: int, T: int, counts: float, rng: torch.Generator) -> Tensor:
 def _hum(B: int, T: int, counts: float, rng: torch.Generator) -> Tensor:
     """Return (B, T, 1, 1) of a tone that all taxels share."""
     rate, phase, depth = uniform_of(rng, 3, B, 1, 1, 1)
-    tone: Tensor = (
-        depth * counts * torch.sin(2.0 * math.pi * ((4.0 + 23.0 * rate) * _seconds(T, rng) + phase))
-    )
-    return tone
+    turns = (4.0 + 23.0 * rate) * _seconds(T, rng) + phase
+    return depth * counts * torch.sin(2.0 * math.pi * turns)
 
 
 def _seconds(T: int, rng: torch.Generator) -> Tensor:
@@ -180,11 +178,6 @@ def uniform_of(rng: torch.Generator, *shape: int) -> Tensor:
     return torch.rand(*shape, generator=rng, device=rng.device)
 
 
-def _chosen(B: int, probability: float, rng: torch.Generator) -> Tensor:
-    """Return (B, 1) bool, true with a probability."""
-    return uniform_of(rng, B, 1) < probability
-
-
 def chosen_of(B: int, probability: float, rng: torch.Generator) -> Tensor:
     """Return (B, 1, 1, 1) bool, true with a probability."""
-    return _chosen(B, probability, rng)[:, :, None, None]
+    return uniform_of(rng, B, 1, 1, 1) < probability

@@ -67,38 +67,30 @@ def fit(
     rehearsed: features of other people. Deterministic.
     """
     head = copy.deepcopy(start).train()
-    is_new = torch.tensor([label in new for label in labels])
     before = [weight.detach().clone() for weight in start.parameters()]
-    penalties = _each(start, settings.l2_sp, 0.0, is_new)
+    known = _known(start, torch.tensor([float(label not in new) for label in labels]))
     rng = torch.Generator().manual_seed(settings.seed)
     optimizer = torch.optim.AdamW(head.parameters(), weight_decay=0.0)
     from_rehearsed = int(settings.batch * settings.rehearsed)
-    counts = settings.batch - from_rehearsed, from_rehearsed
+    sources = ((shown, settings.batch - from_rehearsed), (rehearsed, from_rehearsed))
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(settings.seed)
         for step in range(settings.steps):
-            sources = zip((shown, rehearsed), counts, strict=True)
+            optimizer.param_groups[0]["lr"] = learning_rate_at(step, settings.steps, settings.learning_rate)
             parts = [_draw(crops, labels, count, rng) for crops, count in sources]
             distance = sum(
-                (penalty * (weight - pretrained).square()).sum()
-                for penalty, weight, pretrained in zip(penalties, head.parameters(), before, strict=True)
+                (mask * (weight - was).square()).sum()
+                for mask, weight, was in zip(known, head.parameters(), before, strict=True)
             )
-            loss = _loss(head, parts, settings) + distance / len(shown.gestures)
-            _descend(loss, optimizer, learning_rate_at(step, settings.steps, settings.learning_rate))
+            loss = _loss(head, parts, settings) + settings.l2_sp * distance / len(shown.gestures)
+            optimizer.zero_grad()
+            loss.backward()  # type: ignore[no-untyped-call]
+            torch.nn.utils.clip_grad_norm_(head.parameters(), GRADIENT_LIMIT)
+            optimizer.step()
     head.eval().requires_grad_(False)
-    shares = _each(start, settings.blend, 1.0, is_new)
-    for weight, pretrained, part in zip(head.parameters(), before, shares, strict=True):
-        weight.copy_(torch.lerp(pretrained, weight, part))
+    for mask, weight, was in zip(known, head.parameters(), before, strict=True):
+        weight.copy_(torch.lerp(was, weight, 1.0 - (1.0 - settings.blend) * mask))
     return head
-
-
-def _descend(loss: Tensor, optimizer: torch.optim.Optimizer, learning_rate: float) -> None:
-    (group,) = optimizer.param_groups
-    group["lr"] = learning_rate
-    optimizer.zero_grad()
-    loss.backward()  # type: ignore[no-untyped-call]
-    torch.nn.utils.clip_grad_norm_(group["params"], GRADIENT_LIMIT)
-    optimizer.step()
 
 
 def _loss(head: nn.Sequential, parts: Sequence[tuple[Tensor, ...]], settings: AdaptSettings) -> Tensor:
@@ -113,11 +105,10 @@ def _loss(head: nn.Sequential, parts: Sequence[tuple[Tensor, ...]], settings: Ad
     return losses[within.flatten()].mean()
 
 
-def _each(head: nn.Sequential, value: float, of_new: float, is_new: Tensor) -> list[Tensor]:
-    """Return `value` for each of a head's parameters, `of_new` for the last layer's rows of new labels."""
+def _known(head: nn.Sequential, is_known: Tensor) -> list[Tensor]:
+    """Return 1 for each of a head's parameters, and is_known (labels,) for the last layer's rows."""
     *lower, weight, _bias = head.parameters()
-    rows = torch.where(is_new, of_new, value)
-    return [*(torch.full_like(each, value) for each in lower), rows[:, None].expand_as(weight), rows]
+    return [*map(torch.ones_like, lower), is_known[:, None].expand_as(weight), is_known]
 
 
 def _draw(
