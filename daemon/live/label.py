@@ -27,29 +27,24 @@ class _Said(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 _decode = msgspec.json.Decoder(_Said).decode
 
 
-class Labels:
-    """Takes labels from viewers on this computer. pads: whose touches are shown."""
-
-    def __init__(self, labeller: Labeller, pads: Mapping[str, Memory]) -> None:
-        self._labeller = labeller
-        self._pads = pads
-
-    def take(self, viewer: ServerConnection, message: str | bytes) -> str:
-        """Emit the label in a viewer's message; returns why the message is refused, or ""."""
-        if not is_here(viewer):
-            return "only this computer may say what a touch was"
-        try:
-            said = _decode(message)
-        except (msgspec.DecodeError, UnicodeDecodeError):
-            return "not a label"
-        touch = self._pads[said.pad].find(said.touch) if said.pad in self._pads else None
-        if touch is None:
-            return "no such touch"
-        try:
-            self._labeller.label(touch, said.gesture)
-        except LabelError:
-            return "no such gesture"
-        return ""
+def take_label(
+    labeller: Labeller, pads: Mapping[str, Memory], viewer: ServerConnection, message: str | bytes
+) -> str:
+    """Emit the label in a viewer's message; returns why the message is refused, or ""."""
+    if not is_here(viewer):
+        return "only this computer may say what a touch was"
+    try:
+        said = _decode(message)
+    except (msgspec.DecodeError, UnicodeDecodeError):
+        return "not a label"
+    touch = pads[said.pad].find(said.touch) if said.pad in pads else None
+    if touch is None:
+        return "no such touch"
+    try:
+        labeller.label(touch, said.gesture)
+    except LabelError:
+        return "no such gesture"
+    return ""
 
 
 def is_here(viewer: ServerConnection) -> bool:

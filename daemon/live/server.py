@@ -9,6 +9,7 @@ import logging
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from functools import partial
 from typing import TypeAlias
 
 import msgspec
@@ -18,7 +19,7 @@ from websockets.frames import CloseCode
 
 from touchd.daemon.app.config import LiveSettings, Settings
 from touchd.daemon.live.address import listen, own_names, urls_of
-from touchd.daemon.live.label import Labels
+from touchd.daemon.live.label import take_label
 from touchd.daemon.live.memory import Memory
 from touchd.daemon.live.page import Page
 from touchd.daemon.live.viewers import Door, Viewers
@@ -65,7 +66,7 @@ class LiveServer:
         self.urls = urls_of(live, self.listening.getsockname()[1])
         self._pads = {name: Memory(pad, models[name]) for name, pad in settings.pads.items()}
         self._is_touchable = touching is not None
-        self._take_message = Labels(labeller, self._pads).take if labeller else touching
+        self._take_message = partial(take_label, labeller, self._pads) if labeller else touching
         self._page = Page(own_names(live))
         self._viewers = Viewers(self._state)
         self._items: DroppingQueue[Item] = DroppingQueue(CAPACITY, _may_drop)

@@ -103,8 +103,8 @@ class PadReader:
 
     def contact(self) -> "Contact":
         """Return what finds touches in the frames that come from now on; drop those that wait."""
-        for _ in range(len(self._queue)):
-            self._note(self._queue.get(timeout_s=0))
+        for item in self._queue.take_all():
+            self._note(item)
         return Contact(self.settings.pipeline, self._model)
 
     def follow(self, seconds: float) -> Iterator[tuple[float, Frame]]:

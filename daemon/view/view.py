@@ -346,8 +346,7 @@ def _since_s(began: TouchBegan, sensor_ms: int) -> float:
 
 def _fitted(lines: Sequence[Text], width: int, height: int) -> list[Text]:
     """Return lines cropped or padded to a width and a height."""
-    fitted = [line.copy() for line in lines[:height]]
-    fitted += [Text() for _ in range(height - len(fitted))]
+    fitted = [*lines, *(Text() for _ in range(height))][:height]
     for line in fitted:
         line.truncate(width, overflow="crop", pad=True)
     return fitted
