@@ -6,6 +6,7 @@ import argparse
 import sys
 import tempfile
 import threading
+import time
 import typing
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
@@ -30,7 +31,7 @@ from touchd.daemon.view.view import View
 from touchd.drivers.fakes.fake_port import FakePort, LivePort
 from touchd.drivers.fakes.hand import PLAYED, SimulatedPad
 from touchd.drivers.fakes.loopback_robot import LoopbackRobot
-from touchd.drivers.frame import NO_TOUCH, OTHER, Counts
+from touchd.drivers.frame import NO_TOUCH, OTHER, Counts, Frame
 from touchd.drivers.installed import program_name
 from touchd.drivers.recording import Stream, read_recordings, splice
 from touchd.drivers.robot.session import RobotSettings
@@ -68,7 +69,7 @@ What to try next:
 class PlainLines:
     """Output without a terminal: one line for each event."""
 
-    def show_frame(self, pressure: Counts, sensor_ms: int) -> None:
+    def put_frame(self, frame: Frame) -> None:
         """Do nothing: lines cannot show a moving pad."""
 
     def note(self, text: str) -> None:
@@ -122,12 +123,12 @@ def _be_touched(live: LiveSettings) -> int:
         page = serve_page(closing, shown, Classifier.load())
         show = _show(closing, page.urls, live.host in EVERY_ADDRESS)
 
-        def show_frame(pressure: Counts, sensor_ms: int) -> None:
-            show.show_frame(pressure, sensor_ms)
-            page.show_frame(pressure, sensor_ms)
+        def put_frame(frame: Frame) -> None:
+            show.put_frame(frame)
+            page.put_frame(frame)
 
         begins = partial(_begins, show)
-        pad = SimulatedPad(rng, tuple(PLAYED), EVERY_S, page.touching, begins, show_frame)
+        pad = SimulatedPad(rng, tuple(PLAYED), EVERY_S, page.touching, begins, put_frame)
         port = closing.enter_context(LivePort(pad.scan, encoder_for(SETTINGS.sensor)))
         show.note(f"live page: {' '.join(page.urls)}   Ctrl-C ends")
         # Live predictions are not events: get them from the daemon's own page, whose address is in its log.
@@ -203,7 +204,7 @@ def _showing(stream: Stream, show: Show) -> Callable[[Counts, int], bytes]:
     begins = {int(stream.sensor_ms[span.start]): span.gesture for span in touches}
 
     def shown(counts: Counts, sensor_ms: int) -> bytes:
-        show.show_frame(counts, sensor_ms)
+        show.put_frame(Frame(sensor_ms, time.monotonic(), counts))
         if sensor_ms in begins:
             _begins(show, begins[sensor_ms])
         return encode(counts, sensor_ms)

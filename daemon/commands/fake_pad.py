@@ -65,7 +65,7 @@ def main(arguments: Sequence[str]) -> int:
     with ExitStack() as closing:
         if options.live is not None:
             page = serve_page(closing, Settings(live=parse_address(options.live, None)), None)
-            pad = SimulatedPad(RandomState(), GESTURES, EVERY_S, page.touching, on_frame=page.show_frame)
+            pad = SimulatedPad(RandomState(), GESTURES, EVERY_S, page.touching, on_frame=page.put_frame)
             sys.stdout.write(f"live page: {' '.join(page.urls)}\n")
         port = closing.enter_context(LivePort(pad.scan, encoder_for(found.settings.sensor)))
         file = f" -c {shlex.quote(str(found.file))}" if found.file else ""

@@ -97,7 +97,7 @@ class LiveServer:
     def is_watched(self) -> bool:
         return bool(self._viewers)
 
-    def put_frame(self, frame: Frame, dropped: int, pad: str = DEFAULT_PAD) -> None:
+    def put_frame(self, frame: Frame, dropped: int = 0, pad: str = DEFAULT_PAD) -> None:
         """Queue a frame and show everything queued. dropped: frames dropped so far."""
         self._pads[pad].put_frame(frame)
         self._frames_dropped = dropped

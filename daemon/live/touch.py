@@ -18,7 +18,7 @@ from touchd.daemon.app.config import Settings
 from touchd.daemon.live.server import LiveServer
 from touchd.daemon.path.events import LivePrediction
 from touchd.drivers.fakes.pointers import Pointer, Size
-from touchd.drivers.frame import COLUMNS, DEFAULT_PAD, ROWS, Counts, Frame
+from touchd.drivers.frame import COLUMNS, DEFAULT_PAD, ROWS
 from touchd.model.classifier import Classifier
 
 MOST_POINTERS = 10
@@ -95,9 +95,6 @@ class TouchPage(LiveServer):
     def __init__(self, settings: Settings, model: Classifier | None) -> None:
         self.touching = Touching()
         super().__init__(settings, {DEFAULT_PAD: model}, self.touching.take)
-
-    def show_frame(self, counts: Counts, sensor_ms: int) -> None:
-        self.put_frame(Frame(sensor_ms, time.monotonic(), counts), 0)
 
     def follow(self, log: Path) -> None:
         """Show the live predictions of a daemon with its own page, whose address is in its log."""

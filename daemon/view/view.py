@@ -45,7 +45,7 @@ from touchd.daemon.view.elements import (
     pad_picture,
     time_line,
 )
-from touchd.drivers.frame import CLOCK_MODULUS, COLUMNS, DEFAULT_PAD, FRAME_RATE_HZ, ROWS, Counts, Frame
+from touchd.drivers.frame import CLOCK_MODULUS, COLUMNS, DEFAULT_PAD, FRAME_RATE_HZ, ROWS, Frame
 
 REFRESH_HZ = 12
 # Time constant of the rest in frames, and four times the noise in counts, as on the live page.
@@ -113,25 +113,22 @@ class View:
     def start(self) -> None:
         """Do nothing; the context manager starts it."""
 
-    def put_frame(self, frame: Frame, dropped: int, pad: str) -> None:
-        """Show a frame if it is the shown pad's. dropped: frames dropped so far, which the log reports."""
-        if pad == self._shown_pad:
-            self.show_frame(frame.pressure, frame.sensor_ms)
-
-    def show_frame(self, pressure: Counts, sensor_ms: int) -> None:
-        """Show (8, 8) counts at the next refresh. sensor_ms: the sensor's clock."""
+    def put_frame(self, frame: Frame, dropped: int = 0, pad: str = DEFAULT_PAD) -> None:
+        """Show a frame at the next refresh, if it is the shown pad's. dropped: so far; the log reports it."""
+        if pad != self._shown_pad:
+            return
         with self._lock:
             touch = self._touch
             is_touched = touch is not None and touch.ended is None
             if self._rest is None:
-                self._rest = pressure.astype(np.float64)
+                self._rest = frame.pressure.astype(np.float64)
             elif not is_touched:
-                self._rest += (pressure - self._rest) / REST_FRAMES
-            self._pressure = np.maximum(pressure - self._rest - NOISE_COUNTS, 0.0)
+                self._rest += (frame.pressure - self._rest) / REST_FRAMES
+            self._pressure = np.maximum(frame.pressure - self._rest - NOISE_COUNTS, 0.0)
             load = float(self._pressure.sum())
-            self._recent.append((sensor_ms, load))
+            self._recent.append((frame.sensor_ms, load))
             if touch is not None and is_touched:
-                self._trace.append((_since_s(touch.began, sensor_ms), load))
+                self._trace.append((_since_s(touch.began, frame.sensor_ms), load))
 
     def note(self, text: str, is_bad: bool = False) -> None:
         with self._lock:

@@ -14,7 +14,7 @@ from numpy.random import RandomState
 from numpy.typing import NDArray
 
 from touchd.drivers.fakes.pointers import Pointer, PressingHands, Size
-from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS, Counts
+from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS, Counts, Frame
 
 # Measured on HAART at rest and under load: noise per taxel and frame, spread of the taxels' sensitivity (as a
 # logarithm), and the share of a row's pressure that leaks to each of its taxels.
@@ -137,7 +137,7 @@ class SimulatedPad:
     """A pad under a hand that does gestures one after another, and under the pointers of people, if any.
 
     gestures: of PLAYED, each time a little different, one every `every_s` seconds; any other is a pause.
-    on_gesture: called as one begins. on_frame: receives each frame's counts and clock.
+    on_gesture: called as one begins. on_frame: receives each frame.
     """
 
     def __init__(
@@ -147,7 +147,7 @@ class SimulatedPad:
         every_s: float,
         people: Pointers | None = None,
         on_gesture: Callable[[str], None] = lambda gesture: None,
-        on_frame: Callable[[Counts, int], None] = lambda counts, sensor_ms: None,
+        on_frame: Callable[[Frame], None] = lambda frame: None,
     ) -> None:
         self._rng, self._fabric, self._hands = rng, Fabric(rng), PressingHands(rng)
         self._gestures, self._every_s = itertools.cycle(gestures), every_s
@@ -163,7 +163,7 @@ class SimulatedPad:
         elif (own := next(self._turn)) is not None:
             pointers[self] = own
         counts = self._fabric.read(self._hands.frame(pointers))
-        self._on_frame(counts, sensor_ms)
+        self._on_frame(Frame(sensor_ms, time.monotonic(), counts))
         return counts
 
     def _play(self) -> Iterator[Pointer | None]:

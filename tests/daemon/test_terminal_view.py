@@ -67,10 +67,11 @@ def touch(view: View) -> None:
     view.put(SensorEvent(state="up", time="", reason="x" * 200))
     view.put(RobotEvent(state="up", time=""))
     # The pad's clock wraps in the touch.
-    view.show_frame(np.zeros((8, 8), np.uint16), CLOCK_MODULUS - 100)
+    view.put_frame(Frame(CLOCK_MODULUS - 100, 0.0, np.zeros((8, 8), np.uint16)))
     view.put(TouchBegan(touch=7, time="", sensor_ms=CLOCK_MODULUS - 100))
     for number in range(1, 160):
-        view.show_frame(np.full((8, 8), 90, np.uint16), (18 * number - 100) % CLOCK_MODULUS)
+        clock_ms = (18 * number - 100) % CLOCK_MODULUS
+        view.put_frame(Frame(clock_ms, 0.0, np.full((8, 8), 90, np.uint16)))
     view.put(prediction("early", 54, "pat"))
     view.put(prediction("final", 144, "stroke"))
     view.put(RobotAction(touch=7, action="say", what="Oh, it is a stroke!", time=""))
