@@ -2,13 +2,12 @@
 
 from collections.abc import Sequence
 
-import msgspec
 import numpy as np
 import pytest
 from rigs.formats import CsvLines, encode_csv_line
 from rigs.wire import PERIOD_MS, assert_are, counts_of, fed
 
-from touchd.drivers.pad.format import PRESETS, Layout, PadFormat
+from touchd.drivers.pad.format import Layout, PadFormat
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.text import numbers_in
 
@@ -19,15 +18,6 @@ def line(number: int) -> bytes:
 
 def lines(numbers: Sequence[int]) -> bytes:
     return b"half a line\n" + b"".join(line(number) for number in numbers)
-
-
-def test_the_line_that_a_reconnect_cut_is_not_used() -> None:
-    parser = FrameParser(msgspec.structs.replace(PRESETS["csv"], skip=0, clock="none"))
-    printed = encode_csv_line(counts_of(3), None).split(b",", 1)[1]
-    parser.feed(printed * 3, 1.0)
-    parser.reset()
-    (frame,) = parser.feed(printed[1:] + printed, 2.0)
-    np.testing.assert_array_equal(frame.pressure, counts_of(3))
 
 
 @pytest.mark.parametrize("separator", [b", ", b";", b" ", b"\t", b" , "])
@@ -113,18 +103,6 @@ def test_numbers_are_read_whatever_stands_around_them(printed: str, skip: int) -
     in_pieces = FrameParser(described)
     assert len(fed(in_pieces, printed.encode() * 4, range(0, 4 * len(printed), 7))) == len(frames)
     assert in_pieces.counts == parser.counts
-
-
-def test_numbers_before_and_after_a_rows_cells_are_skipped() -> None:
-    described = PadFormat(framing="text", rows=5, columns=6, skip=1, tail=2)
-    printed = "".join(f"{row}: 77, {str(cells)[1:-1]}, 99, 98\n" for row, cells in enumerate(ROWS)) + "\n"
-    parser = FrameParser(described)
-    damaged = printed[: printed.index("2:")] + printed[printed.index("3:") :]
-    frames = parser.feed((printed * 2 + damaged + printed).encode(), 0.0)
-    assert len(frames) == 2
-    assert parser.counts.bad == 1
-    for frame in frames:
-        np.testing.assert_array_equal(frame.pressure, Layout(described).pressure(np.array(CELLS, np.uint16)))
 
 
 @pytest.mark.parametrize(

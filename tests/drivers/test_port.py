@@ -105,11 +105,6 @@ def test_an_address_that_does_not_answer_is_missing() -> None:
     assert sensor_error("tcp://pad:4000", OSError(errno.EHOSTDOWN, "Host is down")).kind == "missing"
 
 
-def test_a_device_that_is_not_a_terminal_is_named() -> None:
-    with sensing("/dev/null") as queue:
-        assert "/dev/null cannot be opened" in next_state(queue).reason
-
-
 def test_missing_permission_is_said_until_it_is_there(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     with FakePort(stream_of(), encode_fabric_grid) as port:

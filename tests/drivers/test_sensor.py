@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import serial
-from numpy.typing import NDArray
 from rigs.formats import CsvLines, FabricGrid, encode_csv_line, encode_fabric_grid
 from rigs.line_faults import NO_FAULTS, Faults, FaultyPort
 from rigs.sensor_rig import (
@@ -34,7 +33,7 @@ from rigs.wait import WITHIN_S, once_in_three, wait_for
 
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import Counts, Frame, SensorState
-from touchd.drivers.pad.format import PRESETS, PadFormat
+from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.sensor import FrameQueue, Sensor
 
@@ -44,7 +43,6 @@ from touchd.drivers.pad.sensor import FrameQueue, Sensor
     [
         (NO_FAULTS, []),
         (Faults(chunk_bytes=1), []),
-        (Faults(chunk_bytes=50), []),
         (Faults(drop_frame_every=5), [4, 9, 14, 19, 24, 29]),
         (Faults(flip_bit_every=5, garbage_every=3), [4, 9, 14, 19, 24, 29]),
         (Faults(cut_frame_every=10, repeat_frame_every=4), [9, 19, 29]),
@@ -66,30 +64,6 @@ def without_clock(counts: Counts, sensor_ms: int) -> bytes:
     return encode_csv_line(counts, sensor_ms).partition(b",")[2]
 
 
-def delays_s(frames: list[Frame], port: FakePort) -> NDArray[np.float64]:
-    """Return how long after a frame's last byte was sent it arrived."""
-    return np.array([frame.host_s for frame in frames]) - port.sent_s[-len(frames) :]
-
-
-@once_in_three
-def test_frames_after_a_stall_keep_their_true_arrival() -> None:
-    stream = stream_of(30)
-    stall_s, stalled_s = 0.4, 0.0
-
-    def stall_once(counts: Counts, sensor_ms: int) -> bytes:
-        nonlocal stalled_s
-        if sensor_ms == stream.sensor_ms[10]:
-            time.sleep(stall_s)
-            stalled_s = time.monotonic()
-        return encode_fabric_grid(counts, sensor_ms)
-
-    with FakePort(stream, stall_once) as port, sensing(port.path, silence_s=1.0) as queue:
-        frames = next_frames(queue, 30)
-    assert_played(frames, stream, range(30))
-    assert frames[9].host_s < stalled_s <= frames[10].host_s
-    assert np.median(delays_s(frames[10:], port)) < 0.01
-
-
 WITHOUT_CLOCK = PadFormat(framing="text", rows=10, columns=10, crop=1)
 
 
@@ -97,11 +71,10 @@ WITHOUT_CLOCK = PadFormat(framing="text", rows=10, columns=10, crop=1)
     ("encode", "parser", "together", "read"),
     [
         (encode_fabric_grid, FabricGrid(), 3, 3),
-        (encode_csv_line, FrameParser(PRESETS["csv"]), 3, 3),
         (encode_fabric_grid, FabricGrid(), 1, 1),
         (without_clock, FrameParser(WITHOUT_CLOCK), 3, 1),
     ],
-    ids=["quiet", "quiet, text", "touched", "quiet, without a clock"],
+    ids=["quiet", "touched", "quiet, without a clock"],
 )
 def test_a_quiet_pad_with_a_clock_is_read_three_frames_at_once(
     encode: Encode, parser: FrameParser, together: int, read: int
@@ -125,11 +98,11 @@ def test_a_quiet_pad_with_a_clock_is_read_three_frames_at_once(
 @once_in_three
 def test_a_fast_pads_frames_do_not_fill_its_port_meanwhile() -> None:
     queue = FrameQueue()
-    with FakePort(stream_of(1000), encode_fabric_grid, speed=9.0) as port:
+    with FakePort(stream_of(500), encode_fabric_grid, speed=9.0) as port:
         sensor = Sensor(port.path, BAUD, FabricGrid(), queue)
         sensor.frames_together = 3
         sensor.start()
-        arrivals_s = [frame.host_s for frame in next_frames(queue, 1000)[800:]]
+        arrivals_s = [frame.host_s for frame in next_frames(queue, 500)[300:]]
         sensor.stop()
     # Linux keeps 4096 bytes, which are 19 frames. A busy machine delays some of the reads.
     assert np.quantile(list(Counter(arrivals_s).values()), 0.9) < 15
@@ -149,17 +122,12 @@ def test_a_full_queue_drops_old_frames_but_no_state() -> None:
     assert queue.take_all() == [up, down, down, up]
 
 
-def test_it_stops_at_once_before_and_while_waiting(tmp_path: Path) -> None:
+def test_it_stops_at_once_in_any_state(tmp_path: Path) -> None:
+    Sensor("/dev/none", BAUD, FabricGrid(), FrameQueue()).stop()
     with sensing(str(tmp_path / "none")) as queue:
         next_state(queue)
-    Sensor("/dev/none", BAUD, FabricGrid(), FrameQueue()).stop()
-
-
-def test_it_stops_at_once_under_a_flood_of_frames() -> None:
-    with (
-        FakePort(stream_of(), encode_fabric_grid, speed=1e6, loop=True) as port,
-        sensing(port.path) as queue,
-    ):
+    flood = FakePort(stream_of(), encode_fabric_grid, speed=1e6, loop=True)
+    with flood as port, sensing(port.path) as queue:
         next_frames(queue, 100)
 
 
@@ -259,15 +227,11 @@ def test_a_reader_stopped_during_a_lookup_reports_nothing(monkeypatch: pytest.Mo
     assert len(queue) == 0
 
 
-@pytest.mark.parametrize("trouble", [noise, as_8x8])
-def test_bytes_without_frames_are_reported_until_frames_come(
-    trouble: Encode, caplog: pytest.LogCaptureFixture
-) -> None:
-    switch = Switch(trouble)
+def test_bytes_without_frames_are_reported_until_frames_come(caplog: pytest.LogCaptureFixture) -> None:
+    switch = Switch(as_8x8)
     with FakePort(stream_of(), switch) as port, sensing(port.path) as queue:
         reason = f"{port.path} at 512000 baud: bytes come, but no frame of fabric-grid 10x10; touchd doctor"
         assert next_state(queue).reason.startswith(reason)
-        time.sleep(0.6)
         switch.encode = encode_fabric_grid
         assert_is_over(queue, caplog, "WARNING", "INFO")
 
