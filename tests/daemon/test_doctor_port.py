@@ -6,8 +6,6 @@ import os
 import pwd
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -55,11 +53,7 @@ def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Machine:
         ([("1-1", "A17"), ("1-2", "B4")], ["A17-if", "B4-if"], "this board, by its serial number"),
         ([("1-1:1.0", "A17"), ("1-1:1.2", "A17")], ["A17-if1.0", "A17-if1.2"], "this board"),
         ([("1-1", ""), ("1-2", "")], ["1-1", "1-2"], "this socket; the board has no serial number"),
-        (
-            [("1-1", "1"), ("1-2", "1")],
-            ["1-1", "1-2"],
-            "this socket; another board has the same serial number",
-        ),
+        ([("1-1", "1"), ("1-2", "1")], ["1-1", "1-2"], "this socket; another board has the same serial"),
     ],
     ids=["two boards", "a board with two ports", "without a number", "with the same number"],
 )
@@ -91,27 +85,20 @@ def test_a_port_without_another_name_keeps_its_own(machine: Machine) -> None:
         assert lasting_name(port)[0] == port
 
 
-@contextmanager
-def pty_in_another_program() -> Iterator[tuple[str, int]]:
-    """Yield a pseudo-terminal that another program has open, and that program's number."""
+def test_the_program_that_has_a_port_is_named() -> None:
     master, slave = os.openpty()
     path = os.ttyname(slave)
     hold = "import os, sys, time; os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY); time.sleep(60)"
     with subprocess.Popen([sys.executable, "-c", hold, path]) as process:
         try:
             wait_for(lambda: programs_at(path))
-            yield path, process.pid
+            name = f"{Path(f'/proc/{process.pid}/comm').read_text().strip()}, process {process.pid}"
+            for kind in ("busy", "shared"):
+                assert advice_for(path, SensorError(kind, "")) == f"end the other program ({name})"
         finally:
             process.kill()
             os.close(master)
             os.close(slave)
-
-
-@pytest.mark.parametrize("kind", ["busy", "shared"])
-def test_the_program_that_has_a_port_is_named(kind: str) -> None:
-    with pty_in_another_program() as (path, number):
-        name = Path(f"/proc/{number}/comm").read_text().strip()
-        assert advice_for(path, SensorError(kind, "")) == f"end the other program ({name}, process {number})"
 
 
 ACM9, PAD = "/dev/ttyACM9", "tcp://pad:4000"
@@ -121,12 +108,7 @@ ACM9, PAD = "/dev/ttyACM9", "tcp://pad:4000"
     ("port", "kind", "number", "advice"),
     [
         (ACM9, "busy", errno.EBUSY, "end the other program (fuser /dev/ttyACM9 shows which)"),
-        (
-            ACM9,
-            "missing",
-            errno.ENOENT,
-            "plug the pad in, or name its port in sensor.port or with --port;",
-        ),
+        (ACM9, "missing", errno.ENOENT, "plug the pad in, or name its port in sensor.port or with --port;"),
         (PAD, "missing", errno.ECONNREFUSED, "is the pad's board switched on, in this network, and no other"),
         (ACM9, "denied", errno.EPERM, "docker run --device /dev/ttyACM9"),
         (ACM9, "denied", errno.EACCES, "the group dialout, on Arch uucp (sudo usermod -aG dialout"),

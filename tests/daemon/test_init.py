@@ -36,6 +36,7 @@ from touchd.drivers.search.search import Finding
 STREAM = stream_of(next(iter(RECORDINGS)))
 ENCODE = encoder_for(SensorSettings())
 FILE = Path("touchd.yaml")
+Captured = pytest.CaptureFixture[str]
 
 
 @pytest.fixture(autouse=True)
@@ -75,7 +76,7 @@ def test_a_port_is_written_by_a_name_that_lasts(
 
 
 @pytest.mark.parametrize("typed", ["16", "3x8", "8x65", "x", "8x8x8", "10\n"])
-def test_a_grid_that_is_none_is_refused(typed: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_grid_that_is_none_is_refused(typed: str, capsys: Captured) -> None:
     with pytest.raises(SystemExit):
         write("--grid", typed)
     said = f"{typed.strip()!r} is not ROWSxCOLUMNS of 4 to 64 each, as in 16x16"
@@ -91,18 +92,13 @@ def test_a_grid_that_is_none_is_refused(typed: str, capsys: pytest.CaptureFixtur
     ids=["the grid is missing", "nobody presses"],
 )
 def test_a_pad_that_is_not_proven_is_refused_in_one_line(
-    columns: int,
-    told: list[str],
-    said: str,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    columns: int, told: list[str], said: str, monkeypatch: pytest.MonkeyPatch, capsys: Captured
 ) -> None:
-    monkeypatch.setattr(hand, "LISTEN_S", 1.5)
+    monkeypatch.setattr(hand, "LISTEN_S", 1.0)
     monkeypatch.setattr(hand, "LONGER_S", 0.1)
     rest = np.random.default_rng(0).integers(0, 4, (4000, 8, 8)).astype(np.uint16)
-    printed = PadFormat(framing="text", rows=12, columns=columns)
-    still = Stream(rest, ideal_clock_ms(len(rest)), ())
-    with FakePort(still, encoder_for(SensorSettings(format=printed)), loop=True) as pad:
+    printed = encoder_for(SensorSettings(format=PadFormat(framing="text", rows=12, columns=columns)))
+    with FakePort(Stream(rest, ideal_clock_ms(len(rest)), ()), printed, loop=True) as pad:
         assert write("--port", pad.path, *told) == 1
     shown = capsys.readouterr().err
     assert "bytes/s of text, such as" in shown
@@ -120,7 +116,7 @@ def test_a_pad_that_is_not_proven_is_refused_in_one_line(
     ],
 )
 def test_what_cannot_work_is_refused_at_once(
-    options: list[str], kind: type[Exception], message: str, capsys: pytest.CaptureFixture[str]
+    options: list[str], kind: type[Exception], message: str, capsys: Captured
 ) -> None:
     with pytest.raises(kind, match=message):
         write(*options)
@@ -139,7 +135,7 @@ def test_a_full_disk_leaves_no_file(monkeypatch: pytest.MonkeyPatch) -> None:
     assert os.listdir() == []
 
 
-def test_without_pad_and_robot_the_file_has_the_likeliest(capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_pad_and_robot_the_file_has_the_likeliest(capsys: Captured) -> None:
     port, host = 'x: {"y": # 😀', "no-such-robot.invalid"
     assert main(["--port", port, "--baud", "9600", "--robot", host]) == 1
     settings = load(FILE)
@@ -177,7 +173,7 @@ def test_what_was_found_is_written(monkeypatch: pytest.MonkeyPatch, changed: dic
     ],
 )
 def test_a_robots_name_finds_its_protocol_and_port(
-    login: Login | None, said: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    login: Login | None, said: str, monkeypatch: pytest.MonkeyPatch, capsys: Captured
 ) -> None:
     with Robot(login=login) as robot:
         port = int(robot.url.rpartition(":")[2])
@@ -235,7 +231,7 @@ def wandering_then_held(row: int, column: int, held_s: float, wandering_s: float
     held = wandering[:1] + np.repeat(hand[None], round(50 * held_s), axis=0)
     moving = wandering[len(wandering) - round(50 * wandering_s) :]
     counts = np.concatenate([wandering[:25], moving, held])[:, 1:9, 1:9].clip(0, 1023).astype(np.uint16)
-    return Stream(counts, [20 * number for number in range(len(counts))], ())
+    return Stream(counts, 20 * np.arange(len(counts)), ())
 
 
 # The hand of all cases but the first is there before the corner is asked for.

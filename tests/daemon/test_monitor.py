@@ -12,10 +12,9 @@ import pytest
 from rigs.formats import FabricGrid
 from rigs.haart_folder import needs_haart, recordings_of
 from rigs.made_pad import MadePad, nothing
-from rigs.patient_port import playing
-from rigs.running_daemon import Daemon, run_daemon
+from rigs.running_daemon import Daemon
 
-from touchd.daemon.app.config import SensorSettings, Settings
+from touchd.daemon.app.config import SensorSettings
 from touchd.daemon.path.events import SensorEvent
 from touchd.daemon.path.monitor import PadMonitor
 from touchd.daemon.playback.rig import encoder_for
@@ -127,14 +126,7 @@ def twitching() -> Counts:
 
 @pytest.mark.parametrize(
     "counts",
-    [
-        pressed_firmly(),
-        silent(),
-        silent((10, 20)),
-        quiet(0.1),
-        quiet(0.3),
-        twitching(),
-    ],
+    [pressed_firmly(), silent(), silent((10, 20)), quiet(0.1), quiet(0.3), twitching()],
     ids=["heavy hand", "silent", "rubbed", "0.1", "0.3", "bad contact"],
 )
 def test_what_a_sound_pad_reads_is_not_a_fault(counts: Counts) -> None:
@@ -167,16 +159,6 @@ def test_ten_minutes_of_real_touches_have_no_finding(tmp_path: Path) -> None:
     counts = splice([realign(recording) for recording in read_recordings(path)]).counts
     assert len(counts) > 10 * 60 * RATE_HZ
     assert told_of(counts) == ([], [])
-
-
-def test_the_daemon_logs_a_dead_row_and_its_return_once(tmp_path: Path) -> None:
-    counts = broken(ROW_7, 0, (4, 20))
-    with playing(Stream(counts, ideal_clock_ms(len(counts)), ()), speed=100.0) as port:
-        events, log = run_daemon(Settings(sensor=SensorSettings(port=port.path)), tmp_path, port)
-    begin, end = (line for line in log.splitlines() if "stands still" in line)
-    assert begin == f"WARNING touchd.daemon.path.monitor: {DEAD_ROW}"
-    assert end.startswith(f"INFO touchd.daemon.path.monitor: no longer: {DEAD_ROW}")
-    assert {type(event) for event in events} <= {SensorEvent}
 
 
 def states_of(monitor: PadMonitor, times_ms: Iterable[int], at_s: float = 0.0) -> list[SensorState]:

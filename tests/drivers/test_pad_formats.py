@@ -184,13 +184,8 @@ def test_a_frame_with_a_cell_that_is_no_number_is_refused(value: float) -> None:
     cells = counts_of(9).astype(np.float32)
     cells[3, 5] = value
     parser = FrameParser(described)
-    data = (
-        sent(described, 0)
-        + encode_values(described, cells, None)
-        + sent(described, 1)
-        + described.header_bytes
-    )
-    assert_are(described, parser.feed(data, 1.0), [0, 1])
+    data = sent(described, 0) + encode_values(described, cells, None) + sent(described, 1)
+    assert_are(described, parser.feed(data + described.header_bytes, 1.0), [0, 1])
     assert parser.counts.damaged == parser.counts.bad == 1
 
 

@@ -1,6 +1,7 @@
 """The lab's frames of bytes: each intact one arrives once and in order, no damaged one, whatever comes."""
 
 import random
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -92,30 +93,20 @@ class BadLine:
         return packet
 
     def _anything(self) -> bytes:
-        rng = self._rng
-        what = rng.randrange(10)
-        if what == 0:
-            return rng.randbytes(rng.randrange(300))
-        if what == 1:
-            return b"\xff" * rng.randrange(1, 300)
-        if what == 2:
-            return self._packet()[rng.choice(INNER_BYTES) :]
-        if what == 3:
-            return self._packet()[: rng.randrange(SIZE - 1)] + self._frame()
-        if what == 4:
-            return flip(self._packet(), rng.choice(SUMMED_BITS))
-        if what == 5:
-            return flip(self._packet(), rng.choice(TIME_BITS)) + self._frame()
-        if what == 6:
-            at = rng.choice(INNER_BYTES)
-            packet = self._packet()
-            return packet[:at] + packet[at + rng.randrange(1, 9) :] + self._frame()
-        if what == 7:
-            at = rng.choice(INNER_BYTES)
-            packet = self._packet()
-            return packet[:at] + rng.randbytes(rng.randrange(1, 9)) + packet[at:]
-        packet = self._frame()
-        return packet * rng.choice([1, 1, 2])
+        rng, whole, intact = self._rng, self._packet, self._frame
+        at = rng.choice(INNER_BYTES)
+        damages: list[Callable[[], bytes]] = [
+            lambda: rng.randbytes(rng.randrange(300)),
+            lambda: b"\xff" * rng.randrange(1, 300),
+            lambda: whole()[at:],
+            lambda: whole()[: rng.randrange(SIZE - 1)] + intact(),
+            lambda: flip(whole(), rng.choice(SUMMED_BITS)),
+            lambda: flip(whole(), rng.choice(TIME_BITS)) + intact(),
+            lambda: (packet := whole())[:at] + packet[at + rng.randrange(1, 9) :] + intact(),
+            lambda: (packet := whole())[:at] + rng.randbytes(rng.randrange(1, 9)) + packet[at:],
+            lambda: intact() * rng.choice([1, 1, 2]),
+        ]
+        return rng.choice(damages)()
 
 
 def assert_survives(chunks: int, seed: int) -> None:

@@ -194,32 +194,6 @@ def test_a_last_byte_that_checks_the_frame_is_found(kind: Literal["none", "value
     assert (found.checksum, found.tail) == (kind, tail)
 
 
-def streamed(data: bytes, size: int = 256, every_s: float = 0.02) -> list[Chunk]:
-    return [
-        Chunk(data[at : at + size], every_s * number) for number, at in enumerate(range(0, len(data), size))
-    ]
-
-
-NO_PADS = {
-    "nothing": b"",
-    "random": RNG.bytes(40_000),
-    "zeros": b"\0" * 50_000,
-    "ones": b"\xff" * 50_000,
-    "MP3": b"".join(b"\xff\xfb\x90\x00" + RNG.bytes(413 + (n % 3 == 0)) for n in range(150)),
-    "sound": (8000 * np.sin(np.arange(12_000) / 9)).astype("<i2").tobytes(),
-    "empty lines": b"\r\n" * 4000,
-    "words": b"Booting...\r\nwifi connected, rssi -60\r\n" * 900,
-}
-
-
-@pytest.mark.parametrize("data", NO_PADS.values(), ids=NO_PADS)
-def test_what_is_not_a_pad_is_never_proposed(data: bytes) -> None:
-    for grid in (None, (4, 4), (8, 8), (6, 10), (16, 16)):
-        finding = search(streamed(data), grid)
-        assert finding.proposed is None
-        assert finding.missing
-
-
 @pytest.mark.parametrize(("top", "scale"), [(900, 1023), (3000, 4095), (30_000, 65535)])
 def test_values_that_only_grow_under_a_hand_set_the_range(top: int, scale: int) -> None:
     found = found_in(PadFormat(framing="text", rows=8, columns=8, full_scale=top)).proposed
