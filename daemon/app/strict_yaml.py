@@ -15,7 +15,8 @@ from touchd.drivers.errors import TouchdError
 T = TypeVar("T", bound=msgspec.Struct)
 
 MERGE_TAG = "tag:yaml.org,2002:merge"
-# Messages of msgspec about a value.
+# Messages of msgspec: what is wrong and at which path; what is wrong with a value.
+PLACED = re.compile(r"(.*) - at `(?:key` in `)?\$?\.?(.*)`", re.DOTALL)
 UNKNOWN = re.compile(r"Object contains unknown field `(.*)`")
 WRONG_KIND = re.compile(r"Expected `(.*)`, got `(.*)`")
 OUT_OF_RANGE = re.compile(r"Expected `(?:int|float)` ([<>]=?) (.*)")
@@ -68,6 +69,7 @@ YAML_PROBLEMS = {
     "determine a constructor": "tags (!name) are not allowed; write the value alone",
     "found unexpected end of stream": "a quote is opened above and not closed",
 }
+NO_VALUE = "has no value; write null for none, {} for the defaults; a list is [a, b], a fraction 0.5"
 # Not spaces to YAML: a no-break space is part of a name or a value.
 INVISIBLE = re.compile("[\u00a0\u2002-\u200b\u202f\u2060\ufeff]")
 
@@ -98,7 +100,7 @@ class StrictLoader(yaml.SafeLoader):
             if key.value in seen:
                 raise _problem(f"{key.value} is set twice", key)
             if isinstance(value, yaml.ScalarNode) and not value.value and value.style is None:
-                raise _problem(f"{key.value} has no value", key)
+                raise _problem(f"{key.value} {NO_VALUE}", key)
             seen.add(key.value)
         return super().construct_mapping(node, deep)
 
@@ -129,10 +131,8 @@ def explain_yaml(error: yaml.MarkedYAMLError, text: bytes) -> str:
     mark = error.problem_mark or error.context_mark
     where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
     problem = str(error.problem)
-    if problem.endswith("has no value"):
-        problem += "; write null for none, {} for the defaults; a list is [a, b], a fraction 0.5"
-    problem = next((words for part, words in YAML_PROBLEMS.items() if part in problem), problem)
-    return where + problem + _invisible(text)
+    words = next((words for part, words in YAML_PROBLEMS.items() if part in problem), problem)
+    return where + words + _invisible(text)
 
 
 def _invisible(text: bytes) -> str:
@@ -147,10 +147,8 @@ def _invisible(text: bytes) -> str:
 
 def explain(error: str, struct: type[msgspec.Struct], raw: object) -> str:
     """Turn the text of a msgspec.ValidationError about a struct into one line. raw: what was converted."""
-    problem, where = error, ""
-    if " - at `" in error:
-        problem, _, where = error.rpartition(" - at `")
-    path = where.removesuffix("`").removeprefix("key` in `").removeprefix("$").removeprefix(".")
+    placed = PLACED.fullmatch(error)
+    problem, path = placed.groups() if placed else (error, "")
     setting = _without_items(path)
     name = setting.rpartition(".")[2]
     if match := UNKNOWN.fullmatch(problem):

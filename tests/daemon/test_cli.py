@@ -255,7 +255,7 @@ def test_a_pythonpath_that_may_be_the_cause_is_named(tmp_path: Path) -> None:
             "tcp://nao cannot be opened: lacks its port; write it as in tcp://nao:4000",
         ),
         ("journal: {path: /nowhere/events.jsonl}", "journal /nowhere/events.jsonl: cannot be written"),
-        ("robot: {url: 'udp://nao.local'}", "not an address such as tcp://nao.local:9559"),
+        ("robot: {url: 'udp://nao.local'}", "'udp://nao.local' is not a robot's name or address, such as"),
     ],
 )
 def test_an_unusable_setting_is_refused_in_one_line(
