@@ -37,6 +37,7 @@ class QiSession:
         self._settings, self._limits, self._stopping = settings, limits, stopping
         self._qi = load_qi()
         self._session = self._qi.Session()
+        self._proxies: dict[str, Any] = {}
 
     def connect(self) -> None:
         if login := self._settings.login():
@@ -50,10 +51,16 @@ class QiSession:
         return bool(self._session.isConnected())
 
     def call(self, service: str, method: str, *arguments: object, limit_s: float) -> object:
-        # A new proxy each time: that of a service which has ended stays dead when the service is back.
-        found = self._session.service(service, _async=True)
-        proxy = self._value(found, self._limits.connect_s, f"looking for {service}")
-        return self._value(proxy.call(method, *arguments, _async=True), limit_s, f"{service}.{method}")
+        if service not in self._proxies:
+            found = self._session.service(service, _async=True)
+            self._proxies[service] = self._value(found, self._limits.connect_s, f"looking for {service}")
+        try:
+            answer = self._proxies[service].call(method, *arguments, _async=True)
+            return self._value(answer, limit_s, f"{service}.{method}")
+        except RobotRefused:
+            # The service may have ended; once it is back, only a new proxy reaches it.
+            del self._proxies[service]
+            raise
 
     def close(self) -> None:
         self._session.close(_async=True).wait(CLOSE_MS)

@@ -55,10 +55,7 @@ class RobotLimits:
 
 @contextmanager
 def waiting(what: str, limit_s: float, stopping: threading.Event) -> Iterator[GoOn]:
-    """Wait for the robot, with a limit that is shorter once the daemon stops.
-
-    An error within becomes RobotLost or stays RobotRefused, and says what was waited for.
-    """
+    """Bound a wait for the robot; an error in it says what was waited for, as RobotLost or RobotRefused."""
     begun_s = time.monotonic()
 
     def go_on() -> None:
@@ -117,17 +114,13 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         return scheme, parts[2].strip("[]"), int(parts[3] or PORTS[scheme])
 
     def login(self) -> dict[str, str]:
-        """Return user and token, {} without a token_file.
-
-        Raises RobotError if the token cannot be read, or if anybody might get it.
-        """
+        """Return user and token, {} without token_file; raises RobotError, also if anybody might get it."""
         if self.token_file is None:
             return {}
         token = secret_in(self.token_file, "robot.token_file", RobotError)
         if not self.certificate:
-            advice = "to the robot's, which touchd doctor shows, or to any if nobody else can answer"
-            why = f"robot {self.url}: whoever answers there would get the token"
-            raise RobotError(f"{why}; set robot.certificate {advice}")
+            why = f"robot {self.url}: whoever answers there would get the token; set robot.certificate"
+            raise RobotError(f"{why} to its own, which touchd doctor shows, or any if nobody else can answer")
         return {"user": self.user, "token": token}
 
 

@@ -222,5 +222,5 @@ def test_a_token_is_sent_only_where_the_robot_is_known(tmp_path: Path) -> None:
     login = login_in(tmp_path)
     for known in (PIN, "any"):
         RobotLink(RobotSettings(url=NAO, **login | {"certificate": known}))
-    with pytest.raises(RobotError, match=r"set robot\.certificate to .* or to any"):
+    with pytest.raises(RobotError, match=r"set robot\.certificate to .* or any"):
         RobotLink(RobotSettings(url=NAO, **login | {"certificate": None}))
