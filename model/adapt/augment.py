@@ -161,7 +161,8 @@ def _hum(B: int, T: int, counts: float, rng: torch.Generator) -> Tensor:
     """Return (B, T, 1, 1) of a tone that all taxels share."""
     rate, phase, depth = uniform_of(rng, 3, B, 1, 1, 1)
     turns = (4.0 + 23.0 * rate) * _seconds(T, rng) + phase
-    return depth * counts * torch.sin(2.0 * math.pi * turns)
+    tone: Tensor = depth * counts * torch.sin(2.0 * math.pi * turns)
+    return tone
 
 
 def _seconds(T: int, rng: torch.Generator) -> Tensor:

@@ -19,7 +19,7 @@ from touchd.model.training.detector import signals
 from touchd.model.training.detector.export import export
 from touchd.model.training.detector.network import DetectorNetwork
 from touchd.model.training.detector.pieces import PIECE_FRAMES, Composer, set_ups
-from touchd.model.training.detector.train import DetectorRecipe, DetectorSettings
+from touchd.model.training.detector.train import DetectorRecipe, DetectorSettings, teacher
 
 
 # An export takes seconds.
@@ -64,7 +64,14 @@ def test_a_piece_has_rest_touches_and_their_truth() -> None:
     assert all(piece.targets[:30].max() == 0 for piece in pieces)
 
 
-def test_the_same_seed_makes_the_same_pieces() -> None:
+def test_the_same_seed_makes_the_same_pieces_and_lessons() -> None:
     made = set_ups([recording(NO_TOUCH, nothing(8.0)), recording("rub", palm(8.0, 60.0))])
-    one, other = (Composer([made], [], 3).piece() for _ in range(2))
-    np.testing.assert_array_equal(one.counts, other.counts)
+    lessons = []
+    for composer in (Composer([made], [], 3), Composer([made], [], 3)):
+        pieces = [composer.piece() for _ in range(8)]
+        asked = teacher(pieces, composer.rng)
+        none = torch.zeros(0)
+        told = [asked(t, none, signals.Pad(none, none, none)) for t in range(PIECE_FRAMES)]
+        lessons.append((np.stack([piece.counts for piece in pieces]), torch.cat(told, dim=1).numpy()))
+    for one, other in zip(*lessons, strict=True):
+        np.testing.assert_array_equal(one, other)

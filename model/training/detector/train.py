@@ -100,7 +100,8 @@ def train(composer: Composer, settings: DetectorSettings, folder: Path) -> Detec
                 group["lr"] = learning_rate_at(step, settings.steps, settings.learning_rate)
             pieces = [composer.piece() for _ in range(settings.batch)]
             is_own = step >= settings.own_answers_from * settings.steps and step % 3 == 0
-            losses.append(_learn(network, optimizer, pieces, is_own=is_own))
+            asked = None if is_own else teacher(pieces, composer.rng)
+            losses.append(_learn(network, optimizer, pieces, asked))
             step += 1
             progress.update()
             _follow(average, network, 1.0 - settings.average_decay if step > 100 else 1.0)
@@ -122,14 +123,14 @@ def _follow(average: DetectorNetwork, network: DetectorNetwork, share: float) ->
 
 
 def _learn(
-    network: DetectorNetwork, optimizer: torch.optim.Optimizer, pieces: Sequence[Piece], *, is_own: bool
+    network: DetectorNetwork, optimizer: torch.optim.Optimizer, pieces: Sequence[Piece], asked: Ask | None
 ) -> float:
+    """Learn from some pieces; return the loss. asked: whose answers rest follows; None: the network's own."""
     counts = torch.from_numpy(np.stack([piece.counts for piece in pieces]))
     targets = torch.from_numpy(np.stack([piece.targets for piece in pieces]))[:, REST_FRAMES:]
     weights = torch.from_numpy(np.stack([piece.weights for piece in pieces]))[:, REST_FRAMES:]
     with torch.no_grad():
-        ask = own_answers(network, len(pieces)) if is_own else teacher(pieces)
-        known = followed(counts, ask)
+        known = followed(counts, asked or own_answers(network, len(pieces)))
         taxels, totals = signals.look(counts[:, REST_FRAMES:, None], known)
     losses = functional.binary_cross_entropy_with_logits(network(taxels, totals), targets, reduction="none")
     loss = (losses * weights).sum() / weights.sum()
@@ -167,10 +168,10 @@ def followed(counts: Tensor, ask: Ask) -> Pad:
     return Pad(*(torch.stack(each, dim=1) for each in zip(*known, strict=True)))
 
 
-def teacher(pieces: Sequence[Piece]) -> Ask:
+def teacher(pieces: Sequence[Piece], rng: np.random.Generator) -> Ask:
     """Return answers that follow the true touches, sometimes late."""
     targets = np.stack([piece.targets for piece in pieces])
-    late = np.array([np.random.randint(1, 40) if np.random.rand() < 0.3 else 1 for _ in pieces])
+    late = np.where(rng.random(len(pieces)) < 0.3, rng.integers(1, 40, len(pieces)), 1)
     lasting = np.stack([_after(row, frames) for row, frames in zip(targets, late, strict=True)])
     answers = torch.from_numpy(np.where(lasting, TEACHER_TOUCHED, TEACHER_UNTOUCHED).astype(np.float32))
     return lambda t, _counts, _pad: answers[:, t : t + 1]
