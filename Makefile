@@ -96,7 +96,7 @@ soak: $(RUNTIME)
 	$$(sed -n 's/^Environment=/env /p' systemd/touchd.service) PYTHONPATH=.:tests $(BIN)/python -m by_hand.soak --out model/studies/stored/soak.json
 
 expectations: $(RUNTIME)
-	PYTHONPATH=tests $(BIN)/python -m rigs.rebuild $(if $(ADD),--add $(ADD))
+	PYTHONPATH=tests $(BIN)/python -m rigs.pairs $(if $(ADD),--add $(ADD))
 
 # cosmic-ray has an environment of its own: no test and nothing that is installed needs it. With the tests that are
 # about the file it takes minutes. SAMPLE: how many faults, drawn at random; 0 for all.

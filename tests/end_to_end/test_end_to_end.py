@@ -12,7 +12,7 @@ from typing import Any
 
 import msgspec
 import pytest
-from rigs import pairs, rebuild
+from rigs import pairs
 from rigs.expectations import (
     FOLDER,
     LENGTHS,
@@ -159,6 +159,6 @@ def test_a_command_adds_a_stream_with_its_expected_events(
     shipped = expected(tap)
     for module in ("expectations", "pairs"):
         monkeypatch.setattr(f"rigs.{module}.FOLDER", tmp_path)
-    monkeypatch.setattr(rebuild, "RECORDINGS", ())
-    rebuild.main(["--add", str(tap)])
+    monkeypatch.setattr(pairs, "RECORDINGS", ())
+    pairs.main(["--add", str(tap)])
     assert expected(tmp_path / tap.name) == shipped

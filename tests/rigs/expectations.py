@@ -1,4 +1,4 @@
-"""The shipped recordings and their expected events, which `rigs.rebuild` writes."""
+"""The shipped recordings and their expected events, which `rigs.pairs` writes."""
 
 import json
 from collections.abc import Iterable, Mapping

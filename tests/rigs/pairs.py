@@ -2,17 +2,26 @@
 
 A stream (.csv.gz) holds frames, as `touchd record` writes them. A line (.line.gz) holds its title, the pad's
 format, and a row for the bytes that arrive together: the time in ms, and the bytes in hex.
+
+    make expectations              rebuilds the expected events
+    make expectations ADD=FILE     first adds a recording as a stream
+
+Read the diff before committing it: every changed line is a changed answer.
 """
 
+import argparse
 import gzip
+import json
 import logging
-from collections.abc import Iterable, Iterator
+import shutil
+import sys
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
 import msgspec
 import numpy as np
-from rigs.expectations import FOLDER, RECORDINGS, outline
+from rigs.expectations import FOLDER, RECORDINGS, answers, expectation_of, outline, stream_of
 
 from touchd.daemon.app.config import Settings
 from touchd.daemon.path.events import Event, SensorEvent
@@ -116,3 +125,23 @@ def _frames(path: Path) -> Iterator[tuple[int, Counts]]:
     """Yield a stream's clock and counts as the file holds them."""
     for recording in read_recordings(path):
         yield from zip(recording.sensor_ms.tolist(), recording.counts.astype(np.uint16), strict=True)
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Rebuild the expected events, if asked after adding a recording."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("--add", type=Path, metavar="FILE", help="a recording (.csv.gz) to add as a stream")
+    if added := parser.parse_args(arguments).add:
+        read_recordings(added)
+        if (FOLDER / added.name).exists():
+            parser.error(f"{FOLDER / added.name}: is there already; rename {added}")
+        shutil.copyfile(added, FOLDER / added.name)
+    classifier = Classifier.load()
+    told = {path: outline(answers(stream_of(path), classifier)) for path in RECORDINGS}
+    told |= {path: told_of(path, classifier) for path in paths()}
+    for path, events in told.items():
+        expectation_of(path).write_text("".join(f"{json.dumps(event)}\n" for event in events))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
