@@ -535,6 +535,8 @@ def test_a_frame_is_as_old_as_it_was_held_up(lags_s: Sequence[float], age_s: flo
         frame = GridFrame(number, 1000 * sent_s, sent_s + lag_s, np.zeros((8, 8), np.float32), False, False)
         staleness.update(frame)
     assert staleness.age_s(frame, frame.host_s) == pytest.approx(age_s, abs=0.01)
+    staleness.forget()
+    assert staleness.age_s(frame, frame.host_s + 100.0) == 0.0
 
 
 def test_the_end_of_the_stream_ends_the_touch_once() -> None:
