@@ -5,7 +5,6 @@ import socket
 import stat
 import time
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +28,6 @@ from touchd.daemon.sinks.touch_store import TouchStore, kept_touches
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import Frame
 from touchd.drivers.pad.grid import GridFrame
-from touchd.drivers.recording import Recording, RecordingError, read_recordings, write_recordings
 
 PING = b"\x89\xbc" + bytes(4) + bytes(60)
 EMPTY_TEXT = b"\x01\x80" + bytes(4)
@@ -139,15 +137,6 @@ def test_a_pad_played_at_half_speed_is_not_late() -> None:
     answers = Line(speed=0.5).feel(nothing(1.5), *[palm(1.2), nothing(1.5)] * 5)
     assert all(answer.age_ms < 1000 for answer in answers)
     assert any(answer.told for answer in answers)
-
-
-def test_a_small_file_of_countless_recordings_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "bomb.csv.gz"
-    one = Recording("p", "s", "c", "rub", np.zeros((1, 8, 8), np.uint16), np.zeros(1, np.int64), "live")
-    parts = [replace(one, participant=f"p{number % 2}") for number in range(10_002)]
-    write_recordings(path, parts, {})
-    with pytest.raises(RecordingError, match="more than 10000 recordings"):
-        read_recordings(path)
 
 
 def test_a_lasting_delay_is_forgotten_within_fifty_times_its_length() -> None:
