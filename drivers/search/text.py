@@ -44,10 +44,6 @@ def is_text(data: bytes) -> bool:
 
 def looks_like(data: bytes) -> str:
     """Say what bytes look like, with an excerpt: a line of text, or bytes in hex."""
-    if not data:
-        return "nothing"
-    if not data.strip():
-        return "only empty lines"
     if not is_text(data):
         return f"bytes that are not text, such as {data[-EXCERPT_BYTES:].hex(' ')}"
     lines = data[-4096:].decode("utf-8", "replace").splitlines()

@@ -37,7 +37,7 @@ from touchd.drivers.search.search import search
 def test_a_line_without_frames_is_recognised(
     monkeypatch: pytest.MonkeyPatch, encode: Encode, found: str, advice: str
 ) -> None:
-    monkeypatch.setattr(line, "TRY_BAUD_S", 0.1)
+    monkeypatch.setattr(line, "USUAL_BAUDS", (9600,))
     check = protocol_of(pad_of(resting(60.0), encode, speed=3.0))
     assert check.verdict == "to do"
     assert found in check.found

@@ -52,7 +52,7 @@ def write(*options: str) -> int:
 def test_the_pads_port_and_baud_rate_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(init, "USUAL_BAUDS", (115_200, 57_600))
     monkeypatch.setattr(init, "DEFAULT_PORT", "none")
-    monkeypatch.setattr(hand, "LISTEN_S", 4.0)
+    monkeypatch.setattr(hand, "LISTEN_S", 2.5)
     counts = wandering_then_held(1, 1, 0.0).counts
     with pad_read_too_fast(counts, termios.B57600, PRESETS["fabric-grid"], pace=1.0) as pad:
         monkeypatch.setattr(init, "comports", lambda: [ListPortInfo("/dev/null"), ListPortInfo(pad.path)])

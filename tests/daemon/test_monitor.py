@@ -212,7 +212,7 @@ def test_a_daemon_that_was_stopped_blames_neither_pad_nor_clock(tmp_path: Path) 
         # Longer than a pad may be silent.
         time.sleep(2.5)
         daemon.process.send_signal(signal.SIGCONT)
-        time.sleep(1.0)
+        time.sleep(0.3)
         assert daemon.stop() == 0
     assert [event.state for event in daemon.events if isinstance(event, SensorEvent)] == ["up"]
     assert [line for line in daemon.log.splitlines() if "drivers.pad" in line and "WARNING" in line] == []
