@@ -33,7 +33,7 @@ COMMANDS = {
     "convert": "writes a journal as CSV, a journal or a recording as MCAP",
     "config": "prints an example configuration, every setting explained",
     "docs": "prints a page of the documentation",
-    "doctor": "checks pad, model, robot and service; says what to do",
+    "doctor": "checks pad, model and robot; says what to do",
     "bench": "measures latency, processor, memory, start-up and speed",
 }
 """What each subcommand does; its module in `commands` is imported only when it is called."""

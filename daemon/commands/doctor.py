@@ -1,4 +1,4 @@
-"""`touchd doctor`: checks pad, model, robot and service, and says what to do."""
+"""`touchd doctor`: checks pad, model and robot, and says what to do."""
 
 import argparse
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ SHORTEST_S, LONGEST_S = 1.0, 600.0
 def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="touchd doctor",
-        description="Checks the pad, the model, the robot and the service, and says what to do. Leave the "
+        description="Checks the pad, the model and the robot, and says what to do. Leave the "
         "pad alone until it asks for a hand, which it does in a terminal. Exit code 0: nothing to do; "
         "1: something to do; 2: wrong options.",
     )

@@ -9,7 +9,7 @@ from touchd.daemon.app.config import Settings
 from touchd.daemon.doctor.check import Check, Sample, listen
 from touchd.daemon.doctor.hand import find_with_a_hand, find_without_asking
 from touchd.daemon.doctor.line import check_damage, check_opening, check_protocol, check_rate
-from touchd.daemon.doctor.machine import check_model, check_robot, check_service
+from touchd.daemon.doctor.machine import check_model, check_robot
 from touchd.daemon.doctor.port import advice_for
 from touchd.daemon.doctor.values import (
     check_noise,
@@ -53,7 +53,6 @@ def examine(
     if settings.robot is not None:
         say(f"Asking the robot at {settings.robot.url} ...")
     yield check_robot(settings)
-    yield check_service()
 
 
 def _examine_pad(

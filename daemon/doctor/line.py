@@ -7,7 +7,6 @@ import numpy as np
 
 from touchd.daemon.app.config import SensorSettings
 from touchd.daemon.doctor.check import START_S, Check, Sample, listen
-from touchd.daemon.doctor.machine import service_runs
 from touchd.daemon.doctor.port import advice_for
 from touchd.daemon.doctor.values import MANY_SHARE
 from touchd.drivers.frame import MIN_RATE_HZ
@@ -35,9 +34,6 @@ def check_opening(sensor: SensorSettings) -> tuple[Check, Line | None]:
         check_port(sensor.port, sensor.baud)
         opened = open_port(sensor.port, sensor.baud)
     except SensorError as error:
-        if error.kind == "busy" and service_runs():
-            advice = "to look at the pad too: sudo systemctl stop touchd, and ask the doctor again"
-            return Check("port", "not checked", "the service touchd reads it", advice), None
         return Check("port", "to do", str(error), advice_for(sensor.port, error)), None
     device = f" ({os.path.realpath(sensor.port)})" if os.path.islink(sensor.port) else ""
     return Check("port", "ok", f"{sensor.port}{device}, found and permitted"), opened

@@ -1,7 +1,6 @@
-"""Checks of the model, the robot and the service."""
+"""Checks of the model and the robot."""
 
 import re
-import subprocess
 import threading
 import timeit
 from collections.abc import Callable, Sequence
@@ -28,10 +27,6 @@ from touchd.drivers.robot.session import (
 from touchd.drivers.robot.wire import encrypted
 from touchd.model.classifier import ModelError
 
-UNIT = "touchd"
-SYSTEMCTL_S = 3.0
-# See systemctl(1) and org.freedesktop.systemd1(5).
-PROPERTIES = ("LoadState", "ActiveState", "Result")
 # An answer must not take longer than a frame.
 SLOW_ANSWER_MS = 18.5
 TIMED_ANSWERS = 5
@@ -136,39 +131,3 @@ def _ask_version(wanted: RobotSettings) -> str:
         return str(session.call("ALSystem", "systemVersion", limit_s=limits.call_s))
     finally:
         session.close()
-
-
-def check_service() -> Check:
-    """Ask systemd whether the service is installed and running."""
-    state = _unit_state()
-    if state is None:
-        return Check("service", "not checked", "no systemd answers on this machine")
-    if state["LoadState"] != "loaded":
-        return Check("service", "ok", f"no {UNIT} service is installed")
-    if state["ActiveState"] == "failed":
-        advice = f"sudo journalctl -u {UNIT} -e says why; then sudo systemctl restart {UNIT}"
-        return Check("service", "to do", f"failed ({state['Result']})", advice)
-    if state["ActiveState"] != "active":
-        return Check("service", "warning", f"installed, but {state['ActiveState'] or 'not active'}")
-    return Check("service", "ok", f"runs; systemctl status {UNIT} says more")
-
-
-def service_runs() -> bool:
-    """Return whether systemd runs the service now."""
-    return (_unit_state() or {}).get("ActiveState") == "active"
-
-
-def _unit_state() -> dict[str, str] | None:
-    """Return the unit's properties, None without systemd."""
-    try:
-        done = subprocess.run(
-            ["systemctl", "show", UNIT, f"--property={','.join(PROPERTIES)}"],
-            capture_output=True,
-            text=True,
-            check=True,
-            timeout=SYSTEMCTL_S,
-        )
-    except (OSError, subprocess.SubprocessError):
-        return None
-    lines = (line.partition("=") for line in done.stdout.splitlines())
-    return dict.fromkeys(PROPERTIES, "") | {name: value for name, _, value in lines}

@@ -61,7 +61,8 @@ def advice_for(port: str, error: SensorError) -> str:
         missing = "is the pad's board switched on, in this network, and no other program connected to it?"
         return missing if error.kind == "missing" else ""
     if error.kind in ("busy", "shared"):
-        return f"end the other program ({programs_at(port) or f'fuser {port} shows which'})"
+        other = programs_at(port) or f"fuser {port} shows which"
+        return f"end the other program ({other}); the service ends with: sudo systemctl stop touchd"
     if error.kind == "denied":
         if error.number == errno.EPERM:
             return f"in a container? start it with the device, as in docker run --device {port}"

@@ -1,23 +1,20 @@
-"""`touchd doctor`: one line for each check, an exit code, and the checks of model, robot and service."""
+"""`touchd doctor`: one line for each check, an exit code, and the checks of model and robot."""
 
 import math
 import re
-from pathlib import Path
 
 import pytest
 import serial
-from rigs.doctor_rig import SETTINGS, pad_of, resting, systemd_says, the
+from rigs.doctor_rig import SETTINGS, pad_of, resting
 from rigs.formats import encode_csv_line
 from rigs.robots import Robot
 
 from touchd.daemon.app import cli
 from touchd.daemon.app.config import SensorSettings, Settings
 from touchd.daemon.doctor.examine import examine
-from touchd.daemon.doctor.machine import check_model, check_robot, check_service
+from touchd.daemon.doctor.machine import check_model, check_robot
 from touchd.drivers.robot.session import RobotSettings
 from touchd.drivers.search.search import Finding
-
-ACTIVE = "LoadState=loaded\nActiveState=active\n"
 
 
 @pytest.mark.parametrize(("told", "searched"), [(["--grid", "12x9"], [(12, 9)]), ([], [(10, 10), None])])
@@ -71,17 +68,13 @@ def test_a_pad_unplugged_during_the_checks_is_reported_before_the_others() -> No
     assert gone.advice.startswith("plug the pad in")
 
 
-def test_a_port_busy_with_the_service_is_recognised(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_busy_port_says_how_the_service_ends() -> None:
     port = pad_of(resting(1.0))
-    settings = Settings(sensor=SensorSettings(port=port.path))
     with port, serial.Serial(port.path, exclusive=True):
-        other = the("port", examine(settings, 1.0, print))
-        systemd_says(ACTIVE, tmp_path, monkeypatch)
-        service = the("port", examine(settings, 1.0, print))
-    assert other.verdict == "to do"
-    assert "is open in another program" in other.found
-    assert service.verdict == "not checked"
-    assert "sudo systemctl stop touchd" in service.advice
+        check = next(examine(Settings(sensor=SensorSettings(port=port.path)), 1.0, print))
+    assert (check.name, check.verdict) == ("port", "to do")
+    assert "is open in another program" in check.found
+    assert "sudo systemctl stop touchd" in check.advice
 
 
 def test_a_missing_slow_or_unfit_model_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -111,22 +104,3 @@ def test_a_token_that_cannot_be_read_is_reported() -> None:
     check = check_robot(Settings(robot=robot))
     assert check.verdict == "to do"
     assert "robot.token_file /no/such cannot be read" in check.found
-
-
-@pytest.mark.parametrize(
-    ("answer", "verdict", "found"),
-    [
-        ("LoadState=not-found", "ok", "no touchd service is installed"),
-        (ACTIVE, "ok", "runs"),
-        ("LoadState=loaded\nActiveState=inactive", "warning", "installed, but inactive"),
-        ("LoadState=loaded\nActiveState=failed\nResult=exit-code", "to do", "failed (exit-code)"),
-        ("", "not checked", "no systemd answers"),
-    ],
-)
-def test_the_state_of_the_service_is_reported(
-    answer: str, verdict: str, found: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    systemd_says(answer, tmp_path, monkeypatch)
-    check = check_service()
-    assert check.verdict == verdict
-    assert found in check.found

@@ -1,20 +1,17 @@
-"""Pads on a pty for the doctor, and a fake systemctl."""
+"""Pads on a pty for the doctor."""
 
 import os
 import termios
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 from rigs.formats import encode_fabric_grid
 from rigs.line_faults import NO_FAULTS, Faults
 from rigs.sensor_rig import Encode, noise
 from rigs.wire import read_too_fast
 
 from touchd.daemon.app.config import Settings
-from touchd.daemon.doctor.check import Check, Sample
+from touchd.daemon.doctor.check import Sample
 from touchd.drivers.fakes.encode import encode_frame
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import Counts, Frame
@@ -72,16 +69,3 @@ def sample(counts: Counts, faults: Faults = NO_FAULTS) -> Sample:
         sent = encode_fabric_grid(scan, round(1000 * number / 54))
         frames += parser.feed(faults.on_line(number, sent), number / 54)
     return Sample(tuple(frames), parser.counts.bad, b"", frames[-1].host_s)
-
-
-def the(name: str, checks: Iterator[Check]) -> Check:
-    (check,) = [check for check in checks if check.name == name]
-    return check
-
-
-def systemd_says(answer: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Put a systemctl first on the path that prints this answer, and fails if it is empty."""
-    program = folder / "systemctl"
-    program.write_text(f"#!/bin/sh\ncat <<'END'\n{answer}\nEND\nexit {0 if answer else 1}\n")
-    program.chmod(0o755)
-    monkeypatch.setenv("PATH", f"{folder}:{os.environ['PATH']}")
