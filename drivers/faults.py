@@ -17,8 +17,7 @@ class Backoff:
     """Pauses that double from the first to the cap, each shortened at random by up to half."""
 
     def __init__(self, first_s: float, cap_s: float) -> None:
-        self._first_s, self._cap_s = first_s, cap_s
-        self._next_s = first_s
+        self._first_s, self._cap_s, self._next_s = first_s, cap_s, first_s
 
     def pause_s(self) -> float:
         """Return how long to wait now, in seconds."""

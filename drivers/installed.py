@@ -38,11 +38,6 @@ def extra_of(module: str) -> str | None:
     return next((extra for extra, modules in EXTRAS.items() if root in modules), None)
 
 
-def installed() -> list[str]:
-    """Return the extras that are installed."""
-    return [extra for extra, modules in EXTRAS.items() if all(map(importlib.util.find_spec, modules))]
-
-
 def how_to_install(extra: str) -> str:
     """Return the shell command that adds an extra to touchd's own Python, or why there is none."""
     if extra in X86_ALONE:
@@ -87,5 +82,6 @@ def program_name() -> str:
 
 
 if __name__ == "__main__":
-    # `make install` reads this, to keep the extras in an upgrade.
-    sys.stdout.write(f"{' '.join(installed())}\n")
+    # `make install` reads which extras are installed, to keep them in an upgrade.
+    found = (extra for extra, modules in EXTRAS.items() if all(map(importlib.util.find_spec, modules)))
+    sys.stdout.write(f"{' '.join(found)}\n")

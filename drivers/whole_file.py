@@ -57,10 +57,9 @@ def _put_beside_none(path: Path, partial: Path) -> None:
 
 def _take_over(path: Path, partial: Path) -> None:
     """Copy owner and permissions from the file to be replaced, if there is one."""
-    try:
-        before = path.stat()
-    except FileNotFoundError:
+    if not path.exists():
         return
+    before = path.stat()
     try:
         os.chown(partial, before.st_uid, before.st_gid)
     except PermissionError:

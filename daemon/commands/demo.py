@@ -29,8 +29,8 @@ from touchd.daemon.robot.words import name_of, words_of
 from touchd.daemon.view.describe import describe
 from touchd.daemon.view.view import View
 from touchd.drivers.fakes.fake_port import FakePort, LivePort
+from touchd.drivers.fakes.fake_robot import LoopbackRobot
 from touchd.drivers.fakes.hand import PLAYED, SimulatedPad
-from touchd.drivers.fakes.loopback_robot import LoopbackRobot
 from touchd.drivers.frame import NO_TOUCH, OTHER, Counts, Frame
 from touchd.drivers.installed import program_name
 from touchd.drivers.recording import Stream, read_recordings, splice

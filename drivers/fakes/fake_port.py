@@ -35,10 +35,6 @@ SETTLE_S = 0.5
 EMPTY_FOR_S = 0.1
 
 
-class FakePortError(TouchdError):
-    """The system has no pseudo-terminal left, or none at all."""
-
-
 T = TypeVar("T", bound="_FakeLine")
 
 
@@ -48,7 +44,7 @@ class _FakeLine(ABC):
     def __init__(self) -> None:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="touchd-fake-port", daemon=True)
-        with os_errors_as(FakePortError, "no pseudo-terminal for the simulated pad", "is /dev/pts mounted?"):
+        with os_errors_as(TouchdError, "no pseudo-terminal for the simulated pad", "is /dev/pts mounted?"):
             self._master, slave = pty.openpty()
         tty.setraw(slave)
         # Linux reuses the numbers of ptys: a reader that looks for its lost pad by number would open, and

@@ -1,15 +1,18 @@
 """`touchd fake-robot`: a stand-in robot on this computer, to see what a Nao would do.
 
-It speaks the robot's protocol, and prints its address and then every call as lines of JSON.
+It speaks the robot's protocol, and prints its address and then every call as lines of JSON. `LoopbackRobot`
+runs it in a process of its own.
 """
 
 import argparse
 import os
 import signal
+import subprocess
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
+from typing import IO
 
 import msgspec
 
@@ -19,6 +22,7 @@ from touchd.drivers.fakes.services import SERVICES, Call, fake_services
 from touchd.drivers.robot.session import RobotError
 
 LONGEST_S = 9999.0
+START_S = 20.0
 
 
 def parser() -> argparse.ArgumentParser:
@@ -48,12 +52,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         signal.signal(number, lambda *_: stop.set())
     if options.follow_stdin:
         threading.Thread(target=_stop_at_end_of_stdin, args=(stop,), daemon=True).start()
-    writing = threading.Lock()
 
     def report(thing: Call | dict[str, str]) -> None:
-        with writing:
-            sys.stdout.buffer.write(msgspec.json.encode(thing) + b"\n")
-            sys.stdout.buffer.flush()
+        sys.stdout.buffer.write(msgspec.json.encode(thing) + b"\n")
+        sys.stdout.buffer.flush()
 
     services = fake_services(report, call_s=options.call_s, say_s=options.say_s, without=options.without)
     with os_errors_as(RobotError, f"cannot listen on port {options.port}", "choose another with --port"):
@@ -69,6 +71,63 @@ def _stop_at_end_of_stdin(stop: threading.Event) -> None:
     while os.read(0, 4096):
         pass
     stop.set()
+
+
+class LoopbackRobot:
+    """Runs a program that is a robot, on a port that is free, and follows its reports.
+
+    options: of `touchd fake-robot`. on_call: receives each call, from a thread of this object. program: what
+    Python runs, with the same options.
+    """
+
+    def __init__(
+        self,
+        on_call: Callable[[Call], None],
+        options: Sequence[str] = (),
+        program: Sequence[str] = ("-m", "touchd.drivers.fakes.fake_robot"),
+    ) -> None:
+        self._command = [sys.executable, *program, "--follow-stdin", "--port=0", *options]
+        self._on_call = on_call
+        self.url = ""
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def start(self) -> None:
+        """Switch the robot on, also after stop(), which makes it forget everything; raises RobotError."""
+        self.url, started = "", threading.Event()
+        # It ends with its stdin, a pipe from here: no robot outlives a program that was killed.
+        process = subprocess.Popen(self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        follower = threading.Thread(target=self._follow, args=(process.stdout, started), daemon=True)
+        follower.start()
+        self._process, self._follower = process, follower
+        if not started.wait(START_S) or not self.url:
+            self.stop()
+            raise RobotError("the stand-in robot did not start; what it said on stderr tells why")
+
+    def stop(self) -> None:
+        """Switch it off at once, in the middle of whatever it does; may be called again."""
+        if self._process is not None:
+            with self._process:
+                self._process.kill()
+                self._follower.join()
+            self._process = None
+
+    def __enter__(self) -> "LoopbackRobot":
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def _follow(self, reports: IO[bytes], started: threading.Event) -> None:
+        """Note the robot's address, then report its calls until it ends."""
+        for line in reports:
+            report = msgspec.json.decode(line)
+            if "listening" in report:
+                self.url = report["listening"]
+                started.set()
+            else:
+                self._on_call(msgspec.convert(report, Call))
+        started.set()
 
 
 if __name__ == "__main__":

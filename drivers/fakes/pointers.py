@@ -248,16 +248,14 @@ class _Press:
         if self._speed or (self._struck is None and self._frames <= AIMED_FRAME):
             if self._has_turned:
                 self._sway = SWAY_KEPT * self._sway + math.sqrt(1.0 - SWAY_KEPT**2) * self._rng.normal()
-                return moving * math.exp(SWAY * self._sway) * (1.0 + shape.pulls * self._pull())
+                # The wrist lies below fingertips, to the right.
+                pull = float(np.clip(self._velocity.sum() / np.sqrt(2.0) / PULL_SPEED, -1.0, 1.0))
+                return moving * math.exp(SWAY * self._sway) * (1.0 + shape.pulls * pull)
             return moving * (1.0 - ROLLED_LIGHTER * self._rolled)
         if self._still_s < PAUSE_S:
             return self._load if self._struck is None else shape.struck
         sunk = 1.0 - np.exp(-(self._still_s - PAUSE_S) / SINK_S)
         return float(moving + (shape.still - moving) * sunk)
-
-    def _pull(self) -> float:
-        """Return how fast fingertips move towards the wrist, -1 to 1; it lies below them, to the right."""
-        return float(np.clip(self._velocity.sum() / np.sqrt(2.0) / PULL_SPEED, -1.0, 1.0))
 
     def _strike(self) -> Series:
         """Return the load with which each part strikes, in counts."""

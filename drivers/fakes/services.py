@@ -46,12 +46,11 @@ class _Service:
 
     def _note(self, method: str, *arguments: object, refused: str = "") -> None:
         """Record a call, and take the time that it takes; one that is refused raises RuntimeError."""
-        service, now_s = type(self).__name__, time.time()
-        self._note_call(
-            Call(service=service, method=method, arguments=arguments, time_s=now_s, refused=refused)
-        )
+        name, now_s = type(self).__name__, time.time()
+        call = Call(service=name, method=method, arguments=arguments, time_s=now_s, refused=refused)
+        self._note_call(call)
         if refused:
-            raise RuntimeError(f"{service}.{method}: {refused}")
+            raise RuntimeError(f"{name}.{method}: {refused}")
         time.sleep(self._call_s)
 
 
@@ -96,9 +95,8 @@ class ALBehaviorManager(_Service):
     """Behaviours are installed when their name looks like a path."""
 
     def runBehavior(self, behavior: str) -> None:  # noqa: N802
-        self._note(
-            "runBehavior", behavior, refused="" if "/" in behavior else f"no behavior named {behavior}"
-        )
+        refused = "" if "/" in behavior else f"no behavior named {behavior}"
+        self._note("runBehavior", behavior, refused=refused)
 
 
 class ALLeds(_Service):

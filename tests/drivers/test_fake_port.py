@@ -14,7 +14,8 @@ from rigs.sensor_rig import BAUD, stream_of
 from rigs.wait import AT_ONCE_S, wait_for
 from rigs.wire import SIZE
 
-from touchd.drivers.fakes.fake_port import FakePort, FakePortError, LivePort
+from touchd.drivers.errors import TouchdError
+from touchd.drivers.fakes.fake_port import FakePort, LivePort
 from touchd.drivers.recording import Stream
 
 FLAT_OUT = 1e6
@@ -120,5 +121,5 @@ def test_a_system_without_pseudo_terminals_is_named(monkeypatch: pytest.MonkeyPa
         raise OSError("out of pty devices")
 
     monkeypatch.setattr(pty, "openpty", refuse)
-    with pytest.raises(FakePortError, match=r"no pseudo-terminal .*out of pty devices.*/dev/pts"):
+    with pytest.raises(TouchdError, match=r"no pseudo-terminal .*out of pty devices.*/dev/pts"):
         LivePort(lambda _: np.zeros((8, 8), np.uint16), encode_fabric_grid)

@@ -21,7 +21,7 @@ from rigs.wait import wait_for
 
 from touchd.daemon.path.events import timestamp
 from touchd.daemon.robot.sink import detail_of
-from touchd.drivers.fakes.loopback_robot import LoopbackRobot
+from touchd.drivers.fakes.fake_robot import LoopbackRobot
 from touchd.drivers.frame import DEFAULT_PAD
 from touchd.drivers.robot.link import LIMITS, Act, RobotLink
 from touchd.drivers.robot.session import RobotLimits, RobotSettings
