@@ -5,7 +5,7 @@ in one of three states:
 
 measuring rest: half a second of frames without a gap shows the untouched pad; then quiet.
 quiet: rest and noise follow the pad. Some frames in which the detector is sure of a hand begin a touch. If a
-    hand is only likely, or has left within 0.2 s, the classifier is asked about these 0.2 s.
+    hand is only likely, or has left, the classifier is asked, after 0.1 s and after 0.2 s.
 touched: rest and noise stay. The touch ends after `quiet_s` without a hand. A hand may also have left a load
     that looks like one: if for `quiet_s` a hand is only likely, or the load is low beside what it was, the
     classifier is asked. What the pad then reads is its new rest.
@@ -15,8 +15,9 @@ that keeps still for ten seconds becomes rest.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Annotated, Literal, TypeAlias
 
 import msgspec
@@ -54,9 +55,11 @@ STILL_COUNTS, STILL_SHARE = 1.0, 0.03
 SETTLED_FRAMES = round(10 * FRAME_RATE_HZ)
 LONGEST_FRAMES = round(600 * FRAME_RATE_HZ)
 # So many frames after a hand became likely, the classifier is asked about them, even if the hand is gone by
-# then: a blow is shorter. It must call the hand likely too, or a rest that steps by some hundred counts
-# begins touches on the robot. At the end of a touch, a hand is still there above the second number.
-ASK_FRAMES, STILL_HAND = 11, 0.5
+# then: a blow is shorter. It must find a hand likelier than this, or a rest that steps by some hundred counts
+# begins touches on the robot; the sooner it is asked, the surer it must be. At the end of a touch, a hand is
+# still there above STILL_HAND.
+ASKED: Mapping[int, float] = MappingProxyType({6: 0.85, 11: LIKELY})
+STILL_HAND = 0.5
 # What is below the first share of a touch's highest load, and does not rise by the second, may be what the
 # hand left: a fold, a material that creeps.
 LEFT_SHARE, RISE_SHARE = 0.5, 0.15
@@ -234,12 +237,13 @@ class TouchTracker:
         if probability <= GOES_ON and not quiet.likely:
             quiet.empty = self._index
         if quiet.sure < BEGIN_FRAMES and probability <= SURE:
-            if quiet.likely < ASK_FRAMES:
+            if quiet.likely not in ASKED:
                 return None
-            if self._p_hand(ASK_FRAMES) <= LIKELY:
-                quiet.likely = 0
-                if is_likely:
-                    self._rest_now(forgets_hand=True)
+            if self._p_hand(quiet.likely) <= ASKED[quiet.likely]:
+                if quiet.likely == max(ASKED):
+                    quiet.likely = 0
+                    if is_likely:
+                        self._rest_now(forgets_hand=True)
                 return None
         first = min(max(quiet.empty + 1, self._index - SECOND_FRAMES), self._index)
         self._state = Touched(first, self._index, self._index)

@@ -262,6 +262,15 @@ def test_a_likely_hand_begins_a_touch_if_the_classifier_agrees(
     assert pad.story(*scans).count("began") == touches
 
 
+@pytest.mark.parametrize(("p_no_touch", "within_s"), [(0.1, 0.12), (0.2, 0.21)])
+def test_a_likely_hand_is_found_sooner_the_surer_the_classifier(p_no_touch: float, within_s: float) -> None:
+    pad = TrackedPad(TouchTracker(TouchSettings(), unsure(0.9, 0.9), lambda frames, rest: p_no_touch))
+    began = pad.index
+    while not pad.feel(palm(1 / 54, 60.0)):
+        pass
+    assert within_s - 0.03 < (pad.index - began) / 54 <= within_s
+
+
 def test_the_classifier_ends_a_touch_in_doubt_after_quiet_s() -> None:
     asked: list[int] = []
 
