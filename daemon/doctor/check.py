@@ -1,6 +1,7 @@
 """What the doctor works with: a sample of what a pad sends, and the result of a check."""
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -55,16 +56,23 @@ class Sample:
         return np.stack([frame.pressure for frame in self.frames])
 
 
-def listen(opened: Line, parser: FrameParser, seconds: float, start_s: float = START_S) -> Sample:
+def listen(
+    opened: Line,
+    parser: FrameParser,
+    seconds: float,
+    start_s: float = START_S,
+    enough: Callable[[Frame], bool] = lambda frame: False,
+) -> Sample:
     """Listen for `seconds` after the first frame; without one, after the first bytes.
 
-    start_s: how long the first bytes may take. Raises SensorError when the port goes away.
+    start_s: how long the first bytes may take. enough: ends listening at a frame if true. Raises SensorError
+    when the port goes away.
     """
     frames: list[Frame] = []
-    latest, damaged_before = b"", 0
+    latest, damaged_before, is_enough = b"", 0, False
     now_s = time.monotonic()
     until_s = now_s + start_s
-    while now_s < until_s:
+    while not is_enough and now_s < until_s:
         data = read_waiting(opened, parser)
         now_s = time.monotonic()
         arrived = parser.feed(data, now_s)
@@ -72,6 +80,7 @@ def listen(opened: Line, parser: FrameParser, seconds: float, start_s: float = S
             until_s, damaged_before = now_s + seconds, parser.counts.bad
         frames += arrived
         latest = (latest + data)[-LATEST_BYTES:]
+        is_enough = any(map(enough, arrived))
     damaged = parser.counts.bad - damaged_before if frames else 0
     clipped = parser.counts.clipped / max(parser.counts.frames, 1)
     return Sample(tuple(frames), damaged, latest, now_s, clipped)

@@ -13,17 +13,18 @@ from touchd.daemon.doctor.machine import check_model, check_robot
 from touchd.daemon.doctor.port import advice_for
 from touchd.daemon.doctor.values import (
     check_noise,
-    check_press,
+    check_orientation,
     check_quiet,
     check_rest,
     check_taxels,
     check_values,
+    is_pressed,
 )
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import Line, SensorError
 from touchd.drivers.search.search import Finding, Grid
 
-PRESS_S = 8.0
+PRESS_S = 15.0
 # Fewer frames are too few to measure a rate.
 LEAST_FRAMES = 10
 
@@ -74,12 +75,13 @@ def _examine_pad(
         return
     yield from _check_untouched(sample, settings)
     if talk is None:
-        yield Check("press", "not checked", "asked for in a terminal only")
+        yield Check("orientation", "not checked", "asked for in a terminal only")
         return
     rest = np.median(sample.counts(), axis=0)
-    say(f"Press the pad's top left corner firmly, within {PRESS_S:g} s ...")
-    pressed = listen(opened, FrameParser(sensor.described), PRESS_S)
-    yield check_press(pressed, rest, settings)
+    say(f"Press the pad's top left corner with a finger, within {PRESS_S:g} s ...")
+    parser = FrameParser(sensor.described)
+    pressed = listen(opened, parser, PRESS_S, enough=lambda frame: is_pressed(frame, rest))
+    yield check_orientation(pressed, rest, settings)
     if pressed.frames:
         yield from check_values(pressed, sensor.described.full_scale)
 

@@ -12,6 +12,8 @@ from serial.tools.list_ports import comports
 from touchd.drivers.pad.port import SensorError, other_ports
 
 BY_ID, BY_PATH = Path("/dev/serial/by-id"), Path("/dev/serial/by-path")
+# The kernel shows this group in place of one that a container's user namespace lacks.
+OVERFLOW_GID = Path("/proc/sys/kernel/overflowgid")
 SERIAL_GROUPS = ("dialout", "uucp", "plugdev")
 MOST_PROGRAMS = 3
 
@@ -64,11 +66,11 @@ def advice_for(port: str, error: SensorError) -> str:
         other = programs_at(port) or f"fuser {port} shows which"
         return f"end the other program ({other}); the service ends with: sudo systemctl stop touchd"
     if error.kind == "denied":
-        if error.number == errno.EPERM:
-            return f"in a container? start it with the device, as in docker run --device {port}"
-        return group_of_the_next_login() or (
-            "add the user to the group dialout, on Arch uucp (sudo usermod -aG dialout $USER, then log out "
-            "and in again) or install the udev rule systemd/99-touchd.rules"
+        return group_of_the_next_login() or _how_to_get_permission(port, error.number)
+    if error.number in (errno.ENXIO, errno.ENODEV):
+        return (
+            "it was unplugged: plug it in; a container sees it again if it has the host's /dev "
+            "(-v /dev:/dev) and sensor.port is its name in /dev/serial/by-id"
         )
     advice = "plug the pad in, or name its port in sensor.port or with --port"
     if other_ports(port):
@@ -85,6 +87,25 @@ def group_of_the_next_login() -> str:
                 since = f"{user} is in the group {group.gr_name}, but this session began before that"
                 return f"{since}: log out of the desktop and in again, or restart the computer"
     return ""
+
+
+def _how_to_get_permission(port: str, number: int | None) -> str:
+    """Say how a device may be opened: by the service, in a container, or by this user."""
+    if number == errno.EPERM and "INVOCATION_ID" in os.environ:
+        return (
+            "the service's unit does not allow it; sudo systemctl edit touchd, add "
+            f"DeviceAllow={port} rw under [Service], and sudo systemctl restart touchd"
+        )
+    if number == errno.EPERM:
+        return f"in a container? start it with the device, as in docker run --device {port}"
+    with suppress(OSError):
+        # A container's user namespace lacks the device's group, so usermod cannot help.
+        if os.stat(port).st_gid == int(OVERFLOW_GID.read_text()):
+            return "in a rootless container? start it with --group-add keep-groups, as a user of its group"
+    return (
+        "add the user to the group dialout, on Arch uucp (sudo usermod -aG dialout $USER, then log out and "
+        "in again) or install the udev rule systemd/99-touchd.rules"
+    )
 
 
 def programs_at(port: str) -> str:

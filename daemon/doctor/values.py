@@ -1,4 +1,4 @@
-"""Checks of what a pad's values show: rest, noise, taxels, a press."""
+"""Checks of what a pad's values show: rest, noise, taxels, orientation."""
 
 from collections.abc import Iterator
 
@@ -11,7 +11,7 @@ from touchd.daemon.doctor.check import Check, Sample
 from touchd.daemon.path.monitor import FAULTS, STILL_S, TaxelFaults, places
 from touchd.daemon.path.pipeline import tracker_of
 from touchd.daemon.path.tracker import Onset
-from touchd.drivers.frame import COLUMNS, MAX_COUNT, ROWS
+from touchd.drivers.frame import COLUMNS, MAX_COUNT, ROWS, Frame
 from touchd.drivers.pace import pace_of, steps_ms
 from touchd.drivers.pad.grid import Ring
 from touchd.drivers.search.search import as_yaml
@@ -24,6 +24,7 @@ LOADED_COUNTS = 50.0
 # How long TaxelFaults needs to distinguish a stuck taxel from a quiet one.
 HEALTH_S = STILL_S + 0.5
 PRESSED_COUNTS = 40
+CORNER_ROWS = (0, 1, 6, 7)
 
 # The most noise that an untouched taxel may have.
 MOST_NOISE_COUNTS = 4.0
@@ -33,6 +34,9 @@ LEAST_SINE_COUNTS, EXPLAINED = 0.5, 0.5
 STEP_FRAMES, LEAST_STEP_COUNTS, ALONE = 12, 2.0, 4.0
 # A quarter of the taxels at this count is too heavy a load, or a short.
 SATURATED_COUNT = 1000
+# Values jump if a taxel reads this much more, or less, than in the frames before and after, in a third of
+# all frames.
+JUMP_COUNTS, GARBLED_SHARE = 100, 0.35
 # A line that clips or damages one frame in fifty.
 MANY_SHARE = 0.02
 
@@ -117,10 +121,19 @@ def _loose_line(counts: NDArray[np.float64]) -> str:
 
 
 def check_values(sample: Sample, full_scale: float) -> Iterator[Check]:
-    """Report values at their limit, or above full scale."""
-    if ((sample.counts() >= SATURATED_COUNT).mean(axis=(1, 2)) >= 1 / 4).mean() > 1 / 2:
+    """Report values that no hand makes: at their limit, above full scale, or jumping from frame to frame."""
+    counts = sample.counts().astype(np.int64)
+    if ((counts >= SATURATED_COUNT).mean(axis=(1, 2)) >= 1 / 4).mean() > 1 / 2:
         found = "a quarter of the pad or more is at its limit"
         yield Check("values", "to do", found, "take the load off the pad; if there is none, look for a short")
+    before, now, after = counts[:-2], counts[1:-1], counts[2:]
+    there, back = now - before, now - after
+    jump = np.where(there * back > 0, np.minimum(np.abs(there), np.abs(back)), 0)
+    # A jump of less than half of what the taxel reads before and after is noise under a load.
+    is_jump = (jump >= JUMP_COUNTS) & (2 * jump >= np.maximum(before, after))
+    if len(jump) and is_jump.any(axis=(1, 2)).mean() > GARBLED_SHARE:
+        found = "values jump from frame to frame, as no hand makes them"
+        yield Check("values", "to do", found, "is it another format, or a bad line?")
     if sample.clipped > MANY_SHARE:
         found = f"values above full_scale {full_scale:g} are cut to it"
         yield Check("values", "warning", found, "if firm presses do that, set a larger one in sensor.format")
@@ -143,17 +156,44 @@ def check_taxels(sample: Sample) -> list[Check]:
     return [Check("taxels", "to do", what, FAULTS[kind].advice) for kind, what in taxels.found.items()]
 
 
-def check_press(sample: Sample, rest: NDArray[np.float64], settings: Settings) -> Check:
-    """Report where a press shows, or that the values fall under it. rest: (8, 8) counts."""
-    above = sample.counts() - rest if sample.frames else np.zeros((1, ROWS, COLUMNS))
-    if above.max() >= PRESSED_COUNTS:
-        _, row, column = np.unravel_index(int(above.argmax()), above.shape)
-        found = f"shows at row {row + 1} column {column + 1}, counted from the top left"
-        return Check("press", "ok", found, "if you pressed elsewhere, set sensor.turn or sensor.mirror")
-    if -above.min() >= PRESSED_COUNTS:
-        found = "the values fall where the pad is pressed: upside down"
-        return Check("press", "to do", found, _turned_over(settings))
-    return Check("press", "not checked", "nothing was pressed", "run touchd doctor again, and press the pad")
+def is_pressed(frame: Frame, rest: NDArray[np.float64]) -> bool:
+    """Return whether a finger presses a corner of the pad in this frame. rest: (8, 8) counts."""
+    above = frame.pressure - rest
+    row, column = _place(above)
+    return bool(above.max() >= PRESSED_COUNTS) and row in CORNER_ROWS and column in CORNER_ROWS
+
+
+def _place(above: NDArray[np.float64]) -> tuple[int, int]:
+    """Return the row and the column, from 0, of the highest of (8, 8) counts."""
+    row, column = np.unravel_index(int(above.argmax()), above.shape)
+    return int(row), int(column)
+
+
+def check_orientation(sample: Sample, rest: NDArray[np.float64], settings: Settings) -> Check:
+    """Report where a press on the top left corner shows, in the sample's last frame, or that values fall."""
+    again = "run touchd doctor again, and press the corner"
+    if not sample.frames:
+        return Check("orientation", "not checked", "no frames came", again)
+    if not is_pressed(sample.frames[-1], rest):
+        if (rest - sample.counts()).max() >= PRESSED_COUNTS:
+            found = "the values fall where the pad is pressed: upside down"
+            return Check("orientation", "to do", found, _turned_over(settings))
+        above = (sample.counts() - rest).max(axis=0)
+        if above.max() < PRESSED_COUNTS:
+            return Check("orientation", "not checked", "no corner was pressed", again)
+        row, column = _place(above)
+        found = f"pressed elsewhere, at row {row + 1} column {column + 1}"
+        return Check("orientation", "not checked", found, again)
+    row, column = _place(sample.frames[-1].pressure - rest)
+    found = f"the top left corner is at row {row + 1} column {column + 1}"
+    if row < ROWS // 2 and column < COLUMNS // 2:
+        return Check("orientation", "ok", found)
+    if row >= ROWS // 2 and column >= COLUMNS // 2:
+        return Check("orientation", "to do", found, "turn the pad by 180 degrees, or add 180 to sensor.turn")
+    # As `init` turns it: clockwise, until this corner is at the top left.
+    turn = 90 if row >= ROWS // 2 else 270
+    advice = f"turn the pad, or add {turn} to sensor.turn; if it is mirrored, swap its plugs instead"
+    return Check("orientation", "to do", found, advice)
 
 
 def _turned_over(settings: Settings) -> str:

@@ -110,6 +110,7 @@ ACM9, PAD = "/dev/ttyACM9", "tcp://pad:4000"
         (ACM9, "busy", errno.EBUSY, "end the other program (fuser /dev/ttyACM9 shows which)"),
         (ACM9, "missing", errno.ENOENT, "plug the pad in, or name its port in sensor.port or with --port;"),
         (PAD, "missing", errno.ECONNREFUSED, "is the pad's board switched on, in this network, and no other"),
+        (ACM9, "missing", errno.ENXIO, "a container sees it again if it has the host's /dev (-v /dev"),
         (ACM9, "denied", errno.EPERM, "docker run --device /dev/ttyACM9"),
         (ACM9, "denied", errno.EACCES, "the group dialout, on Arch uucp (sudo usermod -aG dialout"),
     ],
@@ -117,9 +118,28 @@ ACM9, PAD = "/dev/ttyACM9", "tcp://pad:4000"
 def test_each_fault_of_a_port_has_its_advice(
     port: str, kind: str, number: int, advice: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.delenv("INVOCATION_ID", raising=False)
     monkeypatch.setattr(doctor_port, "other_ports", lambda port: [])
     monkeypatch.setattr(doctor_port, "group_of_the_next_login", str)
     assert advice in advice_for(port, SensorError(kind, "", number))
+
+
+def test_a_unit_that_forbids_the_device_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("INVOCATION_ID", "0")
+    monkeypatch.setattr(doctor_port, "group_of_the_next_login", str)
+    advice = advice_for(ACM9, SensorError("denied", "", errno.EPERM))
+    assert "sudo systemctl edit touchd, add DeviceAllow=/dev/ttyACM9 rw under [Service]" in advice
+
+
+def test_a_group_that_a_container_lacks_is_not_advised(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "overflowgid").write_text(f"{tmp_path.stat().st_gid}\n")
+    monkeypatch.setattr(doctor_port, "OVERFLOW_GID", tmp_path / "overflowgid")
+    monkeypatch.setattr(doctor_port, "group_of_the_next_login", str)
+    advice = advice_for(str(tmp_path), SensorError("denied", "", errno.EACCES))
+    assert "start it with --group-add keep-groups" in advice
+    assert "usermod" not in advice
 
 
 def test_a_group_that_waits_for_the_next_login_is_said(monkeypatch: pytest.MonkeyPatch) -> None:

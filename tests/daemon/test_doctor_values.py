@@ -1,4 +1,4 @@
-"""The doctor's checks of the pad itself: rest, noise, broken taxels, a press."""
+"""The doctor's checks of the pad itself: rest, noise, broken taxels, orientation."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -6,19 +6,23 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 import pytest
-from rigs.doctor_rig import SETTINGS, resting, sample
+from rigs.doctor_rig import SETTINGS, pad_of, resting, sample
 
+from touchd.daemon.doctor.check import Check, listen
 from touchd.daemon.doctor.values import (
     check_noise,
-    check_press,
+    check_orientation,
     check_quiet,
     check_rest,
     check_taxels,
     check_values,
+    is_pressed,
 )
 from touchd.daemon.path.tracker import Sensitivity, TouchSettings
 from touchd.drivers.frame import Counts
 from touchd.drivers.pad.format import PRESETS
+from touchd.drivers.pad.parser import FrameParser
+from touchd.drivers.pad.port import open_port
 from touchd.drivers.search.search import as_yaml
 from touchd.model.studies.simulated import simulate
 
@@ -92,14 +96,19 @@ def test_the_cause_of_noise_is_named(disturb: Change, found: str) -> None:
     assert (check.verdict == "ok", check.advice == "") == (not found, not found)
 
 
+def jumping(counts: Counts) -> None:
+    counts[1::2, 2:4, 2:4] += np.uint16(300)
+
+
 @pytest.mark.parametrize(
     ("disturb", "clipped", "found"),
     [
         (lambda counts: counts[:, :, :3].fill(1023), 0.0, "a quarter of the pad or more is at its limit"),
+        (jumping, 0.0, "values jump from frame to frame, as no hand makes them"),
         (press, 0.2, "values above full_scale 500 are cut to it"),
         (press, 0.0, ""),
     ],
-    ids=["a short", "above full scale", "a press"],
+    ids=["a short", "jumps", "above full scale", "a press"],
 )
 def test_values_that_no_hand_makes_are_named(disturb: Change, clipped: float, found: str) -> None:
     seen = replace(sample(changed(disturb)), clipped=clipped)
@@ -137,17 +146,45 @@ def test_a_touch_during_the_rest_check_is_reported(sensitivity: Sensitivity, adv
     assert ("touch.sensitivity" in check.advice) == advised
 
 
+def orientation(counts: Counts) -> Check:
+    """Check a press in the last half of a second."""
+    return check_orientation(sample(counts), np.median(counts, axis=0), SETTINGS)
+
+
 @pytest.mark.parametrize(
-    ("counts", "verdict", "said"),
+    ("row", "column", "verdict", "said"),
     [
-        (300, "ok", "shows at row 1 column 8, counted from the top left"),
-        (-300, "to do", TURN_OVER),
-        (3, "not checked", "nothing was pressed"),
+        (0, 1, "ok", ""),
+        (7, 7, "to do", "add 180"),
+        (0, 7, "to do", "add 270"),
+        (7, 0, "to do", "add 90"),
+        (3, 5, "not checked", "pressed elsewhere, at row 4 column 6"),
+        (None, None, "not checked", "no corner was pressed"),
     ],
 )
-def test_a_press_shows_where_it_is_and_that_values_rise(counts: int, verdict: str, said: str) -> None:
-    pressed = (resting(1.0) + 500).astype(np.int64)
-    pressed[-10:, 0, 7] += counts
-    check = check_press(sample(pressed.astype(np.uint16)), np.median(pressed, axis=0), SETTINGS)
+def test_the_pressed_place_tells_how_the_pad_lies(
+    row: int | None, column: int, verdict: str, said: str
+) -> None:
+    counts = resting(1.0)
+    if row is not None:
+        counts[-10:, row, column] += 300
+    check = orientation(counts)
     assert check.verdict == verdict
     assert said in f"{check.found} {check.advice}"
+
+
+def test_listening_ends_when_the_corner_is_pressed() -> None:
+    counts = resting(20.0)
+    counts[100:, 0, 0] += 300
+    rest = np.median(counts[:100], axis=0)
+    with pad_of(counts, speed=4.0) as port, open_port(port.path, 512_000) as opened:
+        parser = FrameParser(SETTINGS.sensor.described)
+        found = listen(opened, parser, 15.0, enough=lambda frame: is_pressed(frame, rest))
+    assert check_orientation(found, rest, SETTINGS).verdict == "ok"
+
+
+def test_values_that_fall_under_the_hand_are_upside_down() -> None:
+    counts = resting(1.0) + 500
+    counts[-10:, 0, 0] -= 300
+    check = orientation(counts)
+    assert (check.verdict, check.advice) == ("to do", TURN_OVER)
