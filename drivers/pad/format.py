@@ -38,6 +38,10 @@ class FormatError(TouchdError, ValueError):
     """A description contradicts itself; the message says which setting and why."""
 
 
+# Settings of a binary frame that text does not have.
+BINARY_ALONE = ("header", "cell", "order", "checksum")
+
+
 class SentFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
     """How a pad's bytes become pressure; docs/pads.md explains each key.
 
@@ -69,6 +73,10 @@ class SentFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
                 f"{self.rows}x{self.columns} with crop {self.crop} leaves {rows}x{columns}; "
                 f"a side of {SHORTEST_SIDE} to {LONGEST_SIDE} must be left: change rows, columns or crop"
             )
+        given = msgspec.to_builtins(self)
+        for name in BINARY_ALONE if self.framing == "text" else ("end",):
+            if name in given:
+                raise FormatError(f"{name} is not for a {self.framing} format; leave it out")
         if self.framing == "text":
             if self.has_clock and not self.skip:
                 raise FormatError("clock is the first number that skip leaves out: set skip to 1 or more")

@@ -251,6 +251,9 @@ def test_a_pad_is_turned_then_mirrored() -> None:
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
+        ({"framing": "text", "header": "aa"}, "header is not for a text format"),
+        ({"framing": "text", "cell": "u8"}, "cell is not for a text format"),
+        ({"header": "aa", "end": "x"}, "end is not for a binary format"),
         ({"header": "xyz"}, "header 'xyz' is not bytes in hex"),
         ({"header": " "}, "header ' ' is not bytes in hex"),
         ({"rows": 10, "crop": 4, "header": "aa"}, "10x10 with crop 4 leaves 2x2"),
