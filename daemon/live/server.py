@@ -22,7 +22,7 @@ from touchd.daemon.live.address import listen, own_names, urls_of
 from touchd.daemon.live.label import take_label
 from touchd.daemon.live.memory import Memory
 from touchd.daemon.live.page import Page
-from touchd.daemon.live.viewers import Door, Viewers
+from touchd.daemon.live.viewers import Connection, Viewers
 from touchd.daemon.path.events import Event, LivePrediction, RobotEvent
 from touchd.daemon.sinks.labels import Labeller
 from touchd.drivers.frame import DEFAULT_PAD, Frame
@@ -34,8 +34,6 @@ log = logging.getLogger(__name__)
 # Ten seconds of frames; they wait only when the machine is overloaded.
 CAPACITY = 540
 STATUS_EVERY_S = 0.5
-# Connections of any kind, including those for files and idle ones.
-MOST_CONNECTIONS = 64
 MOST_MESSAGE_BYTES = 512
 HANDSHAKE_S = 5.0
 PING_EVERY_S = 5.0
@@ -132,12 +130,13 @@ class LiveServer:
     async def _serve(self) -> None:
         # Keep clients' connects and errors out of the daemon's log.
         logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
-        door = Door(MOST_CONNECTIONS)
+        connections: dict[Connection, None] = {}
         server = await serve(
             self._watch,
             sock=self.listening,
             process_request=lambda _, request: self._page.respond(request),
-            create_connection=door.kind,
+            # It is called, but declared as a type.
+            create_connection=partial(Connection, connections),  # type: ignore[arg-type]
             compression=None,
             server_header=None,
             open_timeout=HANDSHAKE_S,
@@ -151,7 +150,8 @@ class LiveServer:
         await self._stopping.wait()
         status.cancel()
         server.close()
-        door.shut()
+        for connection in list(connections):
+            connection.transport.abort()
         left = asyncio.all_tasks() - {asyncio.current_task()}
         await asyncio.wait(left, timeout=GOODBYE_S)
         # What is left when the loop closes would be reported as a fault of Python's.

@@ -2,10 +2,13 @@
 
 import asyncio
 from collections.abc import Callable
+from typing import Any
 
 from websockets.asyncio.server import ServerConnection, broadcast
 from websockets.protocol import State
 
+# Connections of any kind, including those for files and idle ones.
+MOST_CONNECTIONS = 64
 MOST_VIEWERS = 16
 # Backlog from which on a viewer gets no frames, besides the kernel's buffer: about half a second of them.
 MOST_WAITING_FRAMES = 4096
@@ -14,44 +17,34 @@ MOST_WAITING_FRAMES = 4096
 MOST_WAITING_BYTES = 1_000_000
 
 
-class Door:
-    """Closes connections beyond the limit, and any that sends but does not read.
+class Connection(ServerConnection):
+    """A connection that is closed if there are too many, and if it sends but does not read.
 
-    Beyond the limit, the connection that has waited longest without finishing its request is closed, so that
-    half-open connections cannot lock others out; if there is none, the new connection is closed.
-
-    limit: number of connections. kind: the connections' class, for `serve`.
+    Of too many, the one that has waited longest without finishing its request is closed, so that half-open
+    connections cannot lock others out; if there is none, the new one. together: all, in order of arrival.
     """
 
-    def __init__(self, limit: int) -> None:
-        # In the order of their arrival.
-        self._inside: dict[ServerConnection, None] = {}
-        inside = self._inside
+    def __init__(self, together: dict["Connection", None], *arguments: Any, **named: Any) -> None:
+        super().__init__(*arguments, **named)
+        self._together = together
 
-        class Counted(ServerConnection):
-            def connection_made(self, transport: asyncio.BaseTransport) -> None:
-                super().connection_made(transport)
-                inside[self] = None
-                if len(inside) > limit:
-                    half_open = (one for one in inside if one.state is State.CONNECTING)
-                    next(half_open, self).transport.abort()
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        super().connection_made(transport)
+        self._together[self] = None
+        if len(self._together) > MOST_CONNECTIONS:
+            half_open = (one for one in self._together if one.state is State.CONNECTING)
+            next(half_open, self).transport.abort()
 
-            def data_received(self, data: bytes) -> None:
-                # Every ping is answered, whether or not the answers are read.
-                if _waiting_bytes(self) > MOST_WAITING_BYTES:
-                    self.transport.abort()
-                else:
-                    super().data_received(data)
+    def data_received(self, data: bytes) -> None:
+        # Every ping is answered, whether or not the answers are read.
+        if _waiting_bytes(self) > MOST_WAITING_BYTES:
+            self.transport.abort()
+        else:
+            super().data_received(data)
 
-            def connection_lost(self, exc: Exception | None) -> None:
-                inside.pop(self, None)
-                super().connection_lost(exc)
-
-        self.kind: type[ServerConnection] = Counted
-
-    def shut(self) -> None:
-        for connection in list(self._inside):
-            connection.transport.abort()
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._together.pop(self, None)
+        super().connection_lost(exc)
 
 
 class Viewers:

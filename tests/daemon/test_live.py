@@ -30,8 +30,8 @@ from touchd.daemon.live.address import LiveError, is_own_host, listen, own_names
 from touchd.daemon.live.label import is_here
 from touchd.daemon.live.memory import Memory
 from touchd.daemon.live.page import FOLDER
-from touchd.daemon.live.server import CAPACITY, HANDSHAKE_S, MOST_CONNECTIONS, LiveServer
-from touchd.daemon.live.viewers import MOST_VIEWERS
+from touchd.daemon.live.server import CAPACITY, HANDSHAKE_S, LiveServer
+from touchd.daemon.live.viewers import MOST_CONNECTIONS, MOST_VIEWERS
 from touchd.daemon.path.events import SensorEvent, TouchBegan, TouchEnded, encode
 from touchd.daemon.sinks.touches import PREDICTIONS, TOUCHES
 
