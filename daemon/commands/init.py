@@ -12,14 +12,7 @@ from typing import NamedTuple
 from rich.console import Console
 from serial.tools.list_ports import comports
 
-from touchd.daemon.app.config import (
-    DEFAULT_PORT,
-    FABRIC,
-    ConfigError,
-    SensorSettings,
-    Settings,
-    load,
-)
+from touchd.daemon.app.config import DEFAULT_PORT, FABRIC, ConfigError, SensorSettings, Settings, load
 from touchd.daemon.app.parts import check_pad
 from touchd.daemon.doctor.hand import (
     LISTEN_S,

@@ -16,10 +16,7 @@ def parser() -> argparse.ArgumentParser:
         "Prints the tags that then hold. If several run, -c chooses one.",
     )
     parser.add_argument(
-        "tags",
-        nargs="*",
-        metavar="KEY=VALUE",
-        help="as in participant=P07; KEY= removes a tag",
+        "tags", nargs="*", metavar="KEY=VALUE", help="as in participant=P07; KEY= removes a tag"
     )
     parser.add_argument("-c", "--config", type=Path, metavar="FILE", help="of the daemon with these settings")
     return parser

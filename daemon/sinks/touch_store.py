@@ -32,14 +32,7 @@ from touchd.drivers.faults import FaultLog
 from touchd.drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, NO_TOUCH, Frame
 from touchd.drivers.pace import clock_ms
 from touchd.drivers.pad.port import at_baud
-from touchd.drivers.recording import (
-    KEYS,
-    SUFFIX,
-    UNLABELLED,
-    Recording,
-    RecordingError,
-    write_recordings,
-)
+from touchd.drivers.recording import KEYS, SUFFIX, UNLABELLED, Recording, RecordingError, write_recordings
 from touchd.drivers.whole_file import PARTIAL
 
 log = logging.getLogger(__name__)

@@ -118,10 +118,7 @@ def test_lsl_markers_carry_the_events_time(tmp_path: Path) -> None:
         (SensorEvent(state="down", time=ago), "sensor/down"),
         (RobotEvent(state="up", time=ago), "robot/up"),
         (RobotAction(touch=1, action="say", what="Hello", time=ago), "robot_action/say"),
-        (
-            Label(touch=1, began=ago, gesture="rub", time=ago, tags=tags),
-            "label/rub/participant=P07/trial=3",
-        ),
+        (Label(touch=1, began=ago, gesture="rub", time=ago, tags=tags), "label/rub/participant=P07/trial=3"),
     ):
         outlet.send_event(event)
         (said,), stamp_s = inlet.pull_sample(timeout=WITHIN_S)

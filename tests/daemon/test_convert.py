@@ -108,11 +108,7 @@ def test_a_recording_as_mcap_is_pictures_for_foxglove(tmp_path: Path) -> None:
         ("events.jsonl", "events.jsonl.csv/x.csv", "No such file or directory"),
         ("text", "events.csv", "text, line 1: not an event"),
         ("zeros", "events.csv", "zeros, line 1: longer than any event"),
-        (
-            "pad.csv.gz",
-            "events.csv",
-            "a recording is CSV already; end the name of --out with .mcap",
-        ),
+        ("pad.csv.gz", "events.csv", "a recording is CSV already; end the name of --out with .mcap"),
         ("events.jsonl", "mine.csv", "exists; give another --out, or move the file away"),
     ],
 )

@@ -19,12 +19,7 @@ from rigs.wait import WITHIN_S
 
 from touchd.daemon import commands
 from touchd.daemon.app import cli
-from touchd.daemon.app.config import (
-    ConfigError,
-    SensorSettings,
-    Settings,
-    load,
-)
+from touchd.daemon.app.config import ConfigError, SensorSettings, Settings, load
 from touchd.daemon.app.parts import check_pad
 from touchd.daemon.commands.settings import find_settings
 from touchd.daemon.doctor.check import Sample

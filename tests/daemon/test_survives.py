@@ -36,10 +36,7 @@ EMPTY_CONTINUATION = b"\x00\x80" + bytes(4)
 
 @pytest.mark.parametrize("said", [PING, EMPTY_CONTINUATION], ids=["pings", "empty fragments"])
 def test_a_flooding_viewer_is_disconnected(served: Served, said: bytes) -> None:
-    with (
-        served.look() as viewer,
-        socket.create_connection(("127.0.0.1", served.port), WITHIN_S) as flood,
-    ):
+    with served.look() as viewer, socket.create_connection(("127.0.0.1", served.port), WITHIN_S) as flood:
         viewer.recv(timeout=WITHIN_S)
         flood.sendall(HANDSHAKE.format(port=served.port).encode() + EMPTY_TEXT * (said != PING))
         sent = 0

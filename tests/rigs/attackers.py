@@ -171,10 +171,7 @@ Find = Callable[[], list[int]]
 def one_connection(port: Find, goes_on: Callable[[], bool], pieces: Iterator[bytes]) -> None:
     """Send over one connection, and reconnect whenever it is closed."""
     while goes_on():
-        with (
-            suppress(OSError, IndexError),
-            socket.create_connection(("127.0.0.1", port()[0]), 1.0) as client,
-        ):
+        with suppress(OSError, IndexError), socket.create_connection(("127.0.0.1", port()[0]), 1.0) as client:
             send_on(client, goes_on, pieces)
         time.sleep(0.01)
 
