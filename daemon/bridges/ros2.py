@@ -4,6 +4,7 @@ cyclonedds reads the annotations at run time, so do not use `from __future__ imp
 """
 
 import logging
+import socket
 import time
 from dataclasses import dataclass
 
@@ -102,7 +103,7 @@ class Ros2Outlet:
         self._addresses, self._looked_s = set(own_addresses()), time.monotonic()
         self._faults = FaultLog(logging.getLogger(__name__))
         try:
-            participant = DomainParticipant(domain)
+            participant = DomainParticipant(domain, Qos(Policy.EntityName(f"touchd_{socket.gethostname()}")))
         except DDSException as error:
             raise BridgeError(f"no network for DDS ({str(error).splitlines()[0]})") from error
         publisher = Publisher(participant)

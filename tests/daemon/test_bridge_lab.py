@@ -138,6 +138,7 @@ def test_ros2_nodes_find_and_receive_the_topics(tmp_path: Path) -> None:
     topics = {"gesture": String, "event": String, "pressure": Image}
     readers = {name: reader_of(participant, f"rt/touchd/{PAD}/{name}", kind) for name, kind in topics.items()}
     offered = builtin.BuiltinDataReader(participant, builtin.BuiltinTopicDcpsPublication)
+    nodes = builtin.BuiltinDataReader(participant, builtin.BuiltinTopicDcpsParticipant)
     bridge = peer.bridge()
     found: set[tuple[str, str]] = set()
     received: dict[str, list[object]] = {name: [] for name in topics}
@@ -152,6 +153,7 @@ def test_ros2_nodes_find_and_receive_the_topics(tmp_path: Path) -> None:
         return all(received.values()) and len(found) == 3
 
     wait_for(all_received)
+    assert f"touchd_{socket.gethostname()}" in str([node.qos for node in nodes.take(20)])
     bridge.stop(2.0)
     assert found == {
         ("rt/touchd/pad/gesture", "std_msgs::msg::dds_::String_"),
