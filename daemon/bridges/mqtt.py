@@ -9,8 +9,7 @@ from typing import Any
 
 import msgspec
 import paho.mqtt.client as mqtt
-from paho.mqtt.client import MQTTv5
-from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode
+from paho.mqtt.enums import CallbackAPIVersion, MQTTErrorCode, MQTTProtocolVersion
 from paho.mqtt.properties import Properties
 from paho.mqtt.reasoncodes import ReasonCode
 
@@ -26,6 +25,8 @@ KEEPALIVE_S = 10
 CONNECT_S = 3.0
 STOPPED, LOST = "stopped", "lost"
 HOME_ASSISTANT_IS_THERE = b"online"
+# How a broker answers that knows only MQTT 3.1.1.
+NO_MQTT_5 = "Unsupported protocol version"
 # Home Assistant's template: told answers only, with the gesture as the event's type.
 TO_HOME_ASSISTANT = (
     "{% if value_json.type == 'prediction' and value_json.told %}"
@@ -39,7 +40,7 @@ class MqttBridge(Bridge):
 
     The state is the pad's (see `SensorEvent`), "stopped" (touchd has ended) or, as the last will, "lost".
     With `discovery` it announces the pad to Home Assistant and publishes whether it is touched.
-    It speaks MQTT 5, in which a broker says what it refuses.
+    It speaks MQTT 5, in which a broker says what it refuses, and 3.1.1 with brokers that lack it.
     name: of the robot. labels: the gestures that an answer can have.
     """
 
@@ -54,6 +55,8 @@ class MqttBridge(Bridge):
         # its random end, the clients of cloned computers do not end each other's connections.
         own = f"touchd_{socket.gethostname()}_{self._topic}_{secrets.token_hex(4)}"
         self._client_id = own.replace("/", "_")
+        # The first is tried next.
+        self._versions = [MQTTProtocolVersion.MQTTv5, MQTTProtocolVersion.MQTTv311]
         self._client: _Client | None = None
         # Raises what is wrong with the files now; each connection reads them again.
         self._log_in(mqtt.Client(CallbackAPIVersion.VERSION2))
@@ -62,7 +65,7 @@ class MqttBridge(Bridge):
         super().__init__("mqtt", [pad], settings.pressure_hz, where)
 
     def hold(self) -> str:
-        client = _Client(self._client_id, self.limit, self._ending)
+        client = _Client(self._client_id, self._versions[0], self.limit, self._ending)
         client.will_set(f"{self._topic}/state", LOST, qos=1, retain=True)
         self._log_in(client)
         client.on_connect = self._on_connect
@@ -72,6 +75,8 @@ class MqttBridge(Bridge):
         self._client = client
         while client.loop() == MQTTErrorCode.MQTT_ERR_SUCCESS:
             pass
+        if not client.is_greeted:
+            self._versions.reverse()
         return client.why
 
     def hang_up(self) -> None:
@@ -112,6 +117,7 @@ class MqttBridge(Bridge):
     def _on_connect(
         self, client: Any, _data: Any, _flags: Any, code: ReasonCode, properties: Properties | None
     ) -> None:
+        client.is_greeted = code.getName() != NO_MQTT_5
         # paho calls this "Unspecified error".
         client.why = _words(code, properties) if code.is_failure else "the connection was closed"
         if code.is_failure:
@@ -177,12 +183,16 @@ class MqttBridge(Bridge):
 class _Client(mqtt.Client):
     """A paho client for one connection.
 
-    why: reason for the end. topics: of what the broker has not acknowledged, by number.
+    is_greeted: whether the broker has answered in this version of MQTT. why: reason for the end. topics: of
+    what the broker has not acknowledged, by number.
     """
 
-    def __init__(self, name: str, limit: PeerLimit, stopping: threading.Event) -> None:
+    def __init__(
+        self, name: str, version: MQTTProtocolVersion, limit: PeerLimit, stopping: threading.Event
+    ) -> None:
         # The bridge connects again, with a client that holds nothing of a lost connection.
-        super().__init__(CallbackAPIVersion.VERSION2, name, protocol=MQTTv5, reconnect_on_failure=False)
+        super().__init__(CallbackAPIVersion.VERSION2, name, protocol=version, reconnect_on_failure=False)
+        self.is_greeted = False
         self.why = "the connection was closed before a greeting: is it a broker, and does it want TLS?"
         self.topics: dict[int, str] = {}
         self._limit, self._stopping = limit, stopping

@@ -294,14 +294,25 @@ def test_what_a_broker_refuses_is_named_once(
     assert [line for line in caplog.messages if "refused" in line] == [refused]
 
 
+def test_a_broker_without_mqtt_5_gets_mqtt_3(port: int, messages: list[Any], opened: Open) -> None:
+    def refuse_5(client: socket.socket, goes_on: Callable[[], bool]) -> None:
+        greeting = client.recv(65536)
+        if greeting[8] == 5:
+            client.sendall(b"\x20\x02\x00\x01")
+            return
+        attackers.forward(client, port, goes_on, greeting)
+
+    old = free_port()
+    with attackers.server(old, refuse_5):
+        put(opened(old), 1, messages)
+
+
 @pytest.mark.parametrize(
     ("greeting", "reason"),
     [
         (b"\x20\x03\x00\x00\x00", "(the connection was closed)"),
         (b"", "(the connection was closed before a greeting: is it a broker, and does it want TLS?)"),
         (b"\x20\x03\x00\x87\x00", "(Not authorized)"),
-        # A broker that knows no MQTT 5.
-        (b"\x20\x02\x00\x01", "(Unsupported protocol version)"),
         (b"\x20\x0b\x00\x97\x08\x1f\x00\x05a\n\x1b[m", "(Quota exceeded: a"),
     ],
 )

@@ -149,7 +149,7 @@ def test_a_frozen_peer_later_gets_one_stale_event_at_most(
     is_frozen = threading.Event()
 
     def freezing(client: socket.socket, goes_on: Callable[[], bool]) -> None:
-        attackers.forward(client, real, goes_on, is_frozen.is_set)
+        attackers.forward(client, real, goes_on, hold=is_frozen.is_set)
 
     with attackers.server(peer.port, freezing):
         bridge = peer.bridge()

@@ -82,13 +82,18 @@ def send_on(client: socket.socket, goes_on: Callable[[], bool], pieces: Iterator
 
 
 def forward(
-    client: socket.socket, port: int, goes_on: Callable[[], bool], is_frozen: Callable[[], bool]
+    client: socket.socket,
+    port: int,
+    goes_on: Callable[[], bool],
+    first: bytes = b"",
+    hold: Callable[[], bool] = bool,
 ) -> None:
-    """Forward both ways between a client and a port of this computer, unless that is frozen."""
+    """Forward both ways between a client and a port of this computer. first: sent at once. hold: not now."""
     with socket.create_connection(("127.0.0.1", port)) as server:
+        server.sendall(first)
         while goes_on():
             for source, other in ((client, server), (server, client)):
-                if select.select([source], [], [], 0.01)[0] and not is_frozen():
+                if select.select([source], [], [], 0.01)[0] and not hold():
                     other.sendall(source.recv(CHUNK))
 
 
