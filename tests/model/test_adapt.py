@@ -17,22 +17,21 @@ from numpy.typing import NDArray
 from rigs.haart_folder import THIRD_STUDY, needs_third_study
 
 pytest.importorskip("torch", reason="needs the extra `train`")
-pytestmark = [pytest.mark.timeout(300), pytest.mark.usefixtures("one_thread")]
 
-import onnx  # noqa: E402
-import torch  # noqa: E402
+import onnx
+import torch
 
-from touchd.daemon.app import cli  # noqa: E402
-from touchd.daemon.app.config import load  # noqa: E402
-from touchd.daemon.commands import teach  # noqa: E402
-from touchd.daemon.path.events import Label, encode  # noqa: E402
-from touchd.drivers.recording import Recording, ideal_clock_ms, write_recordings  # noqa: E402
-from touchd.model.adapt import ship  # noqa: E402
-from touchd.model.adapt.adapt import Adapted, Pretrained, adapt, logits  # noqa: E402
-from touchd.model.adapt.backbone import CropFeatures, crops, windows  # noqa: E402
-from touchd.model.adapt.folder import ExtraError, read_all  # noqa: E402
-from touchd.model.adapt.head import AdaptSettings, fit, rebuilt  # noqa: E402
-from touchd.model.adapt.measure import (  # noqa: E402  # noqa: E402
+from touchd.daemon.app import cli
+from touchd.daemon.app.config import load
+from touchd.daemon.commands import teach
+from touchd.daemon.path.events import Label, encode
+from touchd.drivers.recording import Recording, ideal_clock_ms, write_recordings
+from touchd.model.adapt import ship
+from touchd.model.adapt.adapt import Adapted, Pretrained, adapt, logits
+from touchd.model.adapt.backbone import CropFeatures, crops, windows
+from touchd.model.adapt.folder import ExtraError, read_all
+from touchd.model.adapt.head import AdaptSettings, fit, rebuilt
+from touchd.model.adapt.measure import (
     Comparison,
     LeftOut,
     LengthFigures,
@@ -41,18 +40,20 @@ from touchd.model.adapt.measure import (  # noqa: E402  # noqa: E402
     mean_interval,
     plan,
 )
-from touchd.model.adapt.output import model_name  # noqa: E402
-from touchd.model.adapt.passing import IN_PASSING, InPassing, joined  # noqa: E402
-from touchd.model.adapt.remembered import Remembered  # noqa: E402
-from touchd.model.adapt.report import is_better, report_lines  # noqa: E402
-from touchd.model.classifier import SHIPPED_MODEL, Classifier, Name  # noqa: E402
-from touchd.model.studies.checks.hard_cases import hand  # noqa: E402
-from touchd.model.studies.checks.reference import Reference  # noqa: E402
-from touchd.model.studies.simulated import simulate  # noqa: E402
-from touchd.model.tgc import TGC  # noqa: E402
-from touchd.model.training.export import CalibratedTGC  # noqa: E402
-from touchd.model.training.remember import save, statistics  # noqa: E402
-from touchd.model.training.studies import Folders  # noqa: E402
+from touchd.model.adapt.output import model_name
+from touchd.model.adapt.passing import IN_PASSING, InPassing, joined
+from touchd.model.adapt.remembered import Remembered
+from touchd.model.adapt.report import is_better, report_lines
+from touchd.model.classifier import SHIPPED_MODEL, Classifier, Name
+from touchd.model.studies.checks.hard_cases import hand
+from touchd.model.studies.checks.reference import Reference
+from touchd.model.studies.simulated import simulate
+from touchd.model.tgc import TGC
+from touchd.model.training.export import CalibratedTGC
+from touchd.model.training.remember import save, statistics
+from touchd.model.training.studies import Folders
+
+pytestmark = [pytest.mark.timeout(300), pytest.mark.usefixtures("one_thread")]
 
 # The simulated gesture behind each label; "hug" is new to the shipped model.
 DONE = {"hug": "constant", "notouch": "notouch", "pat": "pat", "scratch": "scratch", "stroke": "stroke"}

@@ -8,17 +8,18 @@ import pytest
 
 pytest.importorskip("torch", reason="needs the extra `train`")
 pytest.importorskip("onnx", reason="needs the extra `train`")
+
+import torch
+from torch import Tensor
+
+from touchd.model.classifier import Classifier, ModelMetadata
+from touchd.model.settings import NetworkSettings
+from touchd.model.studies.checks.hard_cases import checkerboard, flat, hand
+from touchd.model.tgc import TGC, FeatureDropout, _convolve
+from touchd.model.training.export import CalibratedTGC, export
+from touchd.model.training.stepwise import MEMORY_FRAMES, initial_state, step
+
 pytestmark = [pytest.mark.timeout(300), pytest.mark.usefixtures("one_thread")]
-
-import torch  # noqa: E402
-from torch import Tensor  # noqa: E402
-
-from touchd.model.classifier import Classifier, ModelMetadata  # noqa: E402
-from touchd.model.settings import NetworkSettings  # noqa: E402
-from touchd.model.studies.checks.hard_cases import checkerboard, flat, hand  # noqa: E402
-from touchd.model.tgc import TGC, FeatureDropout, _convolve  # noqa: E402
-from touchd.model.training.export import CalibratedTGC, export  # noqa: E402
-from touchd.model.training.stepwise import MEMORY_FRAMES, initial_state, step  # noqa: E402
 
 SMALL = NetworkSettings(
     stem_width=4,

@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +11,7 @@ from numpy.typing import NDArray
 from rigs.haart_folder import HAART, haart_test_without_counts, needs_haart
 
 pytest.importorskip("torch", reason="needs the extra `train`")
-if find_spec("sklearn") is None:
-    pytest.skip("needs the extra `studies`", allow_module_level=True)
-
+pytest.importorskip("sklearn", reason="needs the extra `studies`")
 
 from touchd.drivers.recording import Recording, ideal_clock_ms
 from touchd.model.adapt.optimise import one_torch_thread

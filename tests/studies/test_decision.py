@@ -13,7 +13,6 @@ from touchd.model.classifier import Classifier
 from touchd.model.studies.decision import (
     FILE,
     FRAMES,
-    LIMITS,
     Measured,
     Streams,
     at_limit,
@@ -104,6 +103,5 @@ def test_confidence_is_calibrated_at_every_stage(measured: Measured) -> None:
 def test_the_figure_is_drawn_from_the_figures(tmp_path: Path) -> None:
     few = streams_sure_from([28, 29, 30, 31], 0.9)
     made = measure({HELD_OUT: few, "made up": few}, few, few, {54: 0.8, 144: 0.9})
-    assert [each.limit for each in made.challenge] == list(LIMITS)
     draw(made, tmp_path / "decision.png")
     assert (tmp_path / "decision.png").stat().st_size > 10_000

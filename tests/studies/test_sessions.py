@@ -33,15 +33,9 @@ def made(settings: SessionSettings) -> PlannedSession:
 
 def test_a_session_shifts_the_rest_after_a_pat() -> None:
     session = made(SessionSettings())
-    first, *_ = session.stretches
-    before = session.counts[first.start : first.stop].mean()
-    after_pat = next(
-        quiet
-        for touch, quiet in zip(session.stretches[1::2], session.stretches[2::2], strict=False)
-        if touch.gesture == "pat"
-    )
-    after = session.counts[after_pat.start : after_pat.stop].mean()
-    assert after - before == pytest.approx(4.0, abs=1.0)
+    levels = [session.counts[each.start : each.stop].mean() for each in session.stretches]
+    pat = [each.gesture for each in session.stretches].index("pat")
+    assert levels[pat + 1] - levels[0] == pytest.approx(4.0, abs=1.0)
 
 
 def test_noise_begins_at_its_time_and_not_before() -> None:

@@ -29,10 +29,7 @@ def timed(network: str, frames: int, processor_ms: float) -> Speed:
 def test_times_are_compared_with_the_shipped_window() -> None:
     speeds = (timed("ours", 144, 2.0), timed("ours", 54, 1.0), timed("a", 144, 20.0), timed("a", 54, 9.0))
     rows = speed.rows(Measured("a machine", speeds))
-    assert [(row[0], row[3]) for row in rows] == [
-        ("ours", "1.00"),
-        ("a", "10.00"),
-    ]
+    assert [(row[0], row[3]) for row in rows] == [("ours", "1.00"), ("a", "10.00")]
 
 
 @pytest.mark.slow
