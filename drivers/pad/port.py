@@ -182,12 +182,15 @@ def open_port(port: str, baud: int) -> Line:
     return opened
 
 
-def read_waiting(opened: Line, parser: FrameParser) -> bytes:
-    """Return what has arrived, waiting at most 0.1 s for it; raise SensorError when it cannot be read."""
+def read_waiting(opened: Line, parser: FrameParser | None = None) -> bytes:
+    """Return what has arrived, waiting at most 0.1 s for it; raise SensorError when it cannot be read.
+
+    parser: of the pad's format; if that is text, a datagram ends its lines.
+    """
     port = str(opened.port)
     try:
         if isinstance(opened, NetworkPort):
-            return opened.read(is_text=parser.format.framing == "text")
+            return opened.read(is_text=parser is not None and parser.format.framing == "text")
         return _read(port, opened.fileno())
     except (OSError, termios.error) as error:
         raise _gone(port, error) from error

@@ -8,8 +8,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from touchd.drivers.pad.format import PRESETS
-from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import Line, forget_waiting, read_waiting
 from touchd.drivers.search.binary import tables
 from touchd.drivers.search.text import is_text
@@ -48,11 +46,10 @@ def listen(
 
     enough: called before each read; ends listening when true.
     """
-    silent = FrameParser(PRESETS["fabric-grid"])
     chunks: list[Chunk] = []
     until_s = time.monotonic() + seconds
     while time.monotonic() < until_s and not enough(chunks):
-        if data := read_waiting(opened, silent):
+        if data := read_waiting(opened):
             chunks.append(Chunk(data, time.monotonic()))
     return chunks
 
