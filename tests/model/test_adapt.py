@@ -468,7 +468,7 @@ def unlabelled(parts: Sequence[Recording]) -> list[Recording]:
         (20, 5, ()),
     ],
 )
-def test_a_short_saved_touch_is_read_with_the_rest_around_it(
+def test_a_short_touch_is_read_with_the_rest_around_it(
     tmp_path: Path, frames: int, after: int, found: tuple[int, ...]
 ) -> None:
     others = [passing("pat", 12, 1), passing("stroke", 12, 2)]
