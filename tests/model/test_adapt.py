@@ -519,7 +519,7 @@ def test_labels_beside_the_files_name_saved_touches(tmp_path: Path) -> None:
     assert found.passed_over == {"without a label": 1}
 
 
-def test_touches_of_unknown_people_are_ascribed_to_the_only_known_one(tmp_path: Path) -> None:
+def test_touches_of_unknown_people_belong_to_the_only_known_one(tmp_path: Path) -> None:
     unknown = [replace(part, participant="unlabelled") for part in passing("pat", 12)]
     lab = saved(tmp_path / "lab", [unknown, passing("rub", 30, 1)])
     assert {each.participant for each in read_all(lab, ()).recordings} == {"A"}

@@ -29,7 +29,7 @@ def test_with_everything_off_counts_stay_as_they_are() -> None:
     torch.testing.assert_close(varied(), PRESSED)
 
 
-def test_rest_hum_and_sway_move_the_pad_each_in_its_way() -> None:
+def test_rest_hum_and_sway_each_move_the_pad_differently() -> None:
     rest = varied(rest=1.0, rest_counts=8.0) - PRESSED
     assert 6.0 < float(rest.abs().max()) <= 8.001
     assert float((rest - rest[:, :1]).abs().max()) < 1e-3

@@ -52,7 +52,7 @@ def test_a_contact_ends_on_a_pad_that_creeps_back() -> None:
     assert [stop - first < 20 for first, stop in contacts(creeping, is_soft=True)] == [True] * 3
 
 
-def test_rest_is_that_of_the_set_up_where_there_is_one() -> None:
+def test_rest_is_of_the_same_set_up_where_possible() -> None:
     own, other = recording("notouch", []), recording("notouch", [])
     elsewhere = Recording("P3", "none", "none", "pat", own.counts, own.sensor_ms, "live")
     assert rests_of([other, recording("pat", PATS), elsewhere, recording("rub", [], "P9")]) == [

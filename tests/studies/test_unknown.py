@@ -104,7 +104,7 @@ def test_the_same_share_is_unknown_on_every_pad() -> None:
     assert 0.1 < float(soft.float().mean()) < 0.6
 
 
-def test_a_touch_that_is_none_is_no_tickle_on_any_pad() -> None:
+def test_an_unknown_touch_is_no_tickle_on_any_pad() -> None:
     torch.manual_seed(1)
     drawn = TouchSampler([*known(), *strange()], LABELS, OWN).draw(128)
     assert drawn.possible[drawn.unknown == 1.0].all()
