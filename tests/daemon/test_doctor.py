@@ -93,7 +93,7 @@ def test_the_robot_is_asked_for_its_version() -> None:
         check = check_robot(Settings(robot=RobotSettings(url=robot.url)))
         assert check.verdict == "ok"
         assert "NAOqi 2.8.7.4" in check.found
-        robot.kill()
+        robot.stop()
         gone = check_robot(Settings(robot=RobotSettings(url=robot.url)))
     assert gone.verdict == "to do"
     assert "ping it" in gone.advice

@@ -4,12 +4,11 @@ import json
 import re
 import shlex
 import signal
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from rigs.programs import TOUCHD, WITHOUT_EXTRAS, Program
+from rigs.programs import TOUCHD, Program
 from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S
 
@@ -82,11 +81,4 @@ def test_the_printed_command_reads_a_pad_of_another_format(tmp_path: Path) -> No
         with Program(*TOUCHD, "run", "--json", *arguments) as daemon:
             assert json.loads(daemon.stdout.readline())["state"] == "up"
             daemon.kill()
-        program.kill()
-
-
-def test_a_fake_pad_needs_no_extra() -> None:
-    code = "cli.main(['fake-pad', '-c', '/dev/null'])"
-    with Program(sys.executable, "-c", WITHOUT_EXTRAS + code) as program:
-        assert program.stdout.readline().startswith("pad: /")
         program.kill()

@@ -30,14 +30,9 @@ def opened(port: FakePort) -> serial.Serial:
 
 
 def read_to_end(port: FakePort, reader: serial.Serial) -> bytes:
-    reader.timeout = 0.02
-    data = b""
-    while not port.wait(0.0):
-        data += reader.read(1)
-        data += reader.read(reader.in_waiting)
+    reader.timeout, data = 0.1, b""
     # The kernel may still buffer the last bytes after the port has sent them.
-    reader.timeout = 0.1
-    while more := reader.read(4096):
+    while (more := reader.read(max(1, reader.in_waiting))) or not port.wait(0.0):
         data += more
     return data
 

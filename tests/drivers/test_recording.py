@@ -8,7 +8,7 @@ import shutil
 import threading
 from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -236,9 +236,12 @@ def test_a_file_is_on_the_disk_before_it_takes_its_name(
 ) -> None:
     synced: list[tuple[bytes, str]] = []
     monkeypatch.setattr(os, "fsync", lambda file: synced.append((os.pread(file, 99, 0), before.read_text())))
+    # As a program that was killed leaves it.
+    before.with_name(f".partial-{before.name}").write_bytes(b"half")
     with whole_file(before) as partial:
         partial.write_text("after")
     assert synced == [(b"after", "before")]
+    assert (before.read_text(), list(before.parent.iterdir())) == ("after", [before])
 
 
 @pytest.mark.parametrize("number", [errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS])
@@ -268,13 +271,6 @@ def test_a_pipe_is_read_until_its_writer_closes_it(tmp_path: Path) -> None:
         late.join()
 
 
-def test_what_a_killed_program_left_is_replaced(before: Path) -> None:
-    before.with_name(f".partial-{before.name}").write_bytes(b"half")
-    with whole_file(before) as partial:
-        partial.write_text("after")
-    assert (before.read_text(), list(before.parent.iterdir())) == ("after", [before])
-
-
 def test_an_error_while_writing_leaves_the_old_file_alone(before: Path) -> None:
     with pytest.raises(FileNotFoundError), whole_file(before) as partial:
         shutil.copytree(before.with_name("not there"), partial)
@@ -283,10 +279,8 @@ def test_an_error_while_writing_leaves_the_old_file_alone(before: Path) -> None:
 
 
 @pytest.mark.parametrize("step", [18_500, 0, -18])
-def test_a_clock_not_in_milliseconds_is_refused(tmp_path: Path, step: int) -> None:
-    path = tmp_path / "own.csv"
+def test_a_clock_not_in_milliseconds_is_refused(pad: Path, step: int) -> None:
     clock_ms = 10**6 + step * np.arange(20, dtype=np.int64)
-    counts = np.zeros((20, 8, 8), np.uint16)
-    write_recordings(path, [Recording("P1", "none", "none", "rub", counts, clock_ms, "live")], {})
+    write_recordings(pad, [replace(made("P1", "rub", 20), sensor_ms=clock_ms)], {})
     with pytest.raises(RecordingError, match=f"changes by {step} a frame; it must rise by milliseconds"):
-        read_recordings(path)
+        read_recordings(pad)

@@ -176,7 +176,7 @@ def test_a_kill_during_a_call_is_survived(either: str) -> None:
         states.wait_for("up")
         link.put(*message("stroke"))
         robot.calls.wait_for(lambda call: "Detail" in str(call.arguments[0]))
-        robot.kill()
+        robot.stop()
         states.wait_for("up", "down")
         robot.start()
         states.wait_for("up", "down", "up")
@@ -198,7 +198,7 @@ def test_a_hang_is_noticed_and_events_flow_again_after_it(either: str) -> None:
 def test_stale_messages_are_dropped_and_fresh_ones_sent(either: str) -> None:
     limits = RobotLimits(stale_s=0.5)
     with Robot() as robot:
-        robot.kill()
+        robot.stop()
         with linked(robot, client=either, limits=limits) as (link, states):
             link.put(*message("stale"))
             assert "refused" in states.wait_for("down")
@@ -282,7 +282,7 @@ def test_stopping_ends_soon_and_leaves_no_thread(state: str, either: str) -> Non
             answer(link)
             robot.calls.wait_for(lambda call: call.method == "say")
         elif state == "killed":
-            robot.kill()
+            robot.stop()
             states.wait_for("up", "down")
         elif state != "up":
             robot.hang()
@@ -320,7 +320,7 @@ def test_a_renewed_token_is_read_at_the_next_connection(
         states.wait_for("up")
         (tmp_path / "token").unlink()
         robot._login = renewed = Login(LOGIN.user, "an0ther")
-        robot.kill()
+        robot.stop()
         robot.start()
         wait_for(lambda: "robot.token_file" in caplog.text)
         login_in(tmp_path, renewed)

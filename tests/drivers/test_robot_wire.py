@@ -86,22 +86,19 @@ def after_login(script: Script) -> Script:
 
 
 def test_a_recorded_robot_is_understood_message_by_message() -> None:
-    port = free_port()
-    messages = [
-        (who, bytes.fromhex(message.replace("PORT", str(port).encode().hex())))
-        for who, message in (line.split() for line in EXCHANGE.read_text().splitlines()[1:])
-    ]
     wrong: list[bytes] = []
 
     def play(client: socket.socket, _goes_on: Callable[[], bool]) -> None:
-        for who, message in messages:
+        port = str(client.getsockname()[1]).encode().hex()
+        for line in EXCHANGE.read_text().splitlines()[1:]:
+            who, text = line.replace("PORT", port).split()
+            message = bytes.fromhex(text)
             if who == "robot":
                 client.sendall(message)
             elif (sent := client.recv(len(message), socket.MSG_WAITALL)) != message:
                 wrong.append(sent)
 
-    reached = RobotSettings(url=f"tcp://127.0.0.1:{port}")
-    with server(port, play), closing(WireSession(reached, LIMITS, threading.Event())) as robot:
+    with session_with(play) as robot:
         robot.connect()
         assert robot.call("ALSystem", "systemVersion", limit_s=5) == "2.8.7.4"
         detail = ["stroke", 0.75, [1_790_000_000, 250_000], "early", 7, 12]

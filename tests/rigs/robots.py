@@ -60,7 +60,7 @@ class Robot(LoopbackRobot):
         super().__init__(self.calls.add, options, *([] if is_ours else [theirs]))
 
     def start(self) -> None:
-        """Switch it on, also after kill()."""
+        """Switch it on, also after stop()."""
         super().start()
         if self._login is not None:
             self.gate = Gate(self._gate_port, int(self.url.rpartition(":")[2]), self._login, self.authority)
@@ -70,10 +70,6 @@ class Robot(LoopbackRobot):
         super().stop()
         if self.gate is not None:
             self.gate.close()
-
-    def kill(self) -> None:
-        """Switch it off at once."""
-        self.stop()
 
     def hang(self, signal_: signal.Signals = signal.SIGSTOP) -> None:
         """Stop answering; the connections stay open."""
