@@ -88,8 +88,7 @@ def measure(touch_s: float) -> dict[str, float]:
         time.sleep(SETTLING_S)
         figures["cpu_touching_percent"] = _cpu_percent(daemon.process.pid, touch_s)
         port.wait(START_S)
-        status = Path(f"/proc/{daemon.process.pid}/status").read_text()
-        figures["memory_mb"] = int(status.partition("VmHWM:")[2].split()[0]) * 1024 / 1e6
+        figures["memory_mb"] = _peak_memory_mb(daemon.process.pid)
         daemon.stop()
         reader.join()
         latencies_ms = _latencies_ms(port.sent_s, received)
@@ -133,3 +132,8 @@ def _cpu_percent(pid: int, seconds: float) -> float:
     began_s, before_s = time.monotonic(), used_s()
     time.sleep(seconds)
     return 100 * (used_s() - before_s) / (time.monotonic() - began_s)
+
+
+def _peak_memory_mb(pid: int) -> float:
+    status = Path(f"/proc/{pid}/status").read_text()
+    return int(status.partition("VmHWM:")[2].split()[0]) * 1024 / 1e6

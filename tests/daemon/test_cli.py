@@ -125,9 +125,8 @@ def test_a_container_stops_while_it_starts() -> None:
     assert (done.returncode, done.stdout) == (128 + signal.SIGTERM, "")
 
 
-def with_signals_at_the_end(begin: str) -> tuple[int, str]:
-    """Run a command that gets SIGINT and SIGHUP once it has ended; return its exit status and errors."""
-    program = f"""
+IGNORED = "for number in (signal.SIGINT, signal.SIGHUP): signal.signal(number, signal.SIG_IGN)"
+SIGNALS_AT_THE_END = """
 import atexit, os, signal, sys
 {begin}
 for number in (signal.SIGHUP, signal.SIGINT):
@@ -136,17 +135,12 @@ sys.argv[1:] = ["docs"]
 from touchd.daemon.__main__ import program
 program()
 """
-    done = ran([sys.executable, "-c", program])
-    return done.returncode, done.stderr
 
 
-def test_a_second_ctrl_c_at_the_end_leaves_no_trace() -> None:
-    assert with_signals_at_the_end("") == (-signal.SIGINT, "")
-
-
-def test_a_command_in_the_background_keeps_ignoring_signals() -> None:
-    ignored = "for number in (signal.SIGINT, signal.SIGHUP): signal.signal(number, signal.SIG_IGN)"
-    assert with_signals_at_the_end(ignored) == (0, "")
+@pytest.mark.parametrize(("begin", "code"), [("", -signal.SIGINT), (IGNORED, 0)], ids=["", "in background"])
+def test_signals_after_the_end_leave_no_trace(begin: str, code: int) -> None:
+    done = ran([sys.executable, "-c", SIGNALS_AT_THE_END.format(begin=begin)])
+    assert (done.returncode, done.stderr) == (code, "")
 
 
 @pytest.mark.parametrize("command", ["classify", "convert --out x.mcap", "plot"])
