@@ -21,7 +21,7 @@ from touchd.drivers.recording import (
     realign,
     set_up,
 )
-from touchd.model.adapt.passing import LEAST_AFTER_FRAMES, InPassing, joined
+from touchd.model.adapt.passing import LEAST_AFTER_FRAMES, InPassing, joined, whole
 from touchd.model.classifier import LONGEST_LABEL, MOST_LABELS, as_known
 
 # The first answer needs 54 frames.
@@ -85,10 +85,7 @@ def read_all(
 def _labelled(parts: list[Recording], label: str) -> list[Recording]:
     """Label a saved touch; a false touch and the rest around it are one recording."""
     named = [replace(part, gesture=label) if part.gesture == UNLABELLED else part for part in parts]
-    if label != NO_TOUCH:
-        return named
-    counts = np.concatenate([part.counts for part in parts])
-    return [replace(named[0], counts=counts, sensor_ms=np.concatenate([part.sensor_ms for part in parts]))]
+    return [whole(named)] if label == NO_TOUCH else named
 
 
 def _as_known(recordings: Sequence[Recording]) -> list[Recording]:

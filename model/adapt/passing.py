@@ -36,47 +36,45 @@ class InPassing(Recording):
 def joined(parts: Sequence[Recording]) -> list[Recording]:
     """Return a file's recordings on the grid, each short touch together with the rest beside it.
 
-    Left out are the rest beside a longer touch, which is too short to learn from, and a short touch without
-    rest after it.
+    Left out are the rest beside a touch, which is too short to learn from, and a short touch without rest
+    after it.
     """
     found: list[Recording] = []
-    taken: set[int] = set()
     for place, part in enumerate(parts):
-        beside = [other for other in (place - 1, place + 1) if _is_rest_beside(parts, place, other)]
-        if not beside:
-            continue
-        taken |= {*beside}
-        if _frames(part.sensor_ms[-1] - part.sensor_ms[0]) < WINDOW_FRAMES:
-            taken.add(place)
-            found += _in_passing(part, [parts[other] for other in sorted((place, *beside))])
-    return [*found, *(on_grid(part) for place, part in enumerate(parts) if place not in taken)]
+        before = [other for other in parts[max(0, place - 1) : place] if _follows(other, part)]
+        after = [other for other in parts[place + 1 : place + 2] if _follows(part, other)]
+        is_short = _frames(part.sensor_ms[-1] - part.sensor_ms[0]) < WINDOW_FRAMES
+        if not (before or after) or (part.gesture != NO_TOUCH and not is_short):
+            found.append(on_grid(part))
+        elif part.gesture != NO_TOUCH:
+            found += _in_passing(part, [*before, part, *after])
+    return found
+
+
+def whole(parts: Sequence[Recording]) -> Recording:
+    """Return parts that follow one another as one recording, with the labels of the first."""
+    counts, sensor_ms = ([getattr(part, name) for part in parts] for name in ("counts", "sensor_ms"))
+    return replace(parts[0], counts=np.concatenate(counts), sensor_ms=np.concatenate(sensor_ms))
 
 
 def _frames(ms: np.int64) -> int:
     return round(float(ms) * FRAME_RATE_HZ / 1000.0)
 
 
-def _is_rest_beside(parts: Sequence[Recording], place: int, other: int) -> bool:
-    """Whether another part of the file is the rest just before a touch, or just after it."""
-    if not 0 <= other < len(parts):
-        return False
-    touch, rest = parts[place], parts[other]
-    earlier, later = (rest, touch) if other < place else (touch, rest)
-    pause_ms = later.sensor_ms[0] - earlier.sensor_ms[-1]
-    is_touch = touch.gesture != NO_TOUCH and touch.framing == "live"
-    return bool(
-        is_touch and rest.gesture == NO_TOUCH and set_up(rest) == set_up(touch) and 0 < pause_ms <= CUT_MS
-    )
+def _follows(one: Recording, other: Recording) -> bool:
+    """Whether one is a live touch and the other the rest just after it, or the other way round."""
+    is_pair = (one.gesture == NO_TOUCH) != (other.gesture == NO_TOUCH) and set_up(one) == set_up(other)
+    is_live = all(each.framing == "live" for each in (one, other) if each.gesture != NO_TOUCH)
+    return is_pair and is_live and bool(0 < other.sensor_ms[0] - one.sensor_ms[-1] <= CUT_MS)
 
 
 def _in_passing(touch: Recording, parts: Sequence[Recording]) -> list[Recording]:
     """Return a touch and the rest around it as one recording; none if it cannot be learnt from."""
-    counts = np.concatenate([part.counts for part in parts])
-    sensor_ms = np.concatenate([part.sensor_ms for part in parts])
-    laid = on_grid(replace(touch, counts=counts, sensor_ms=sensor_ms))
-    first = _frames(touch.sensor_ms[0] - sensor_ms[0])
-    over = _frames(touch.sensor_ms[-1] - sensor_ms[0]) + 1
-    has_gap = len(laid.counts) < _frames(sensor_ms[-1] - sensor_ms[0]) - 1
+    start_ms, end_ms = parts[0].sensor_ms[0], parts[-1].sensor_ms[-1]
+    laid = on_grid(whole(parts))
+    first = _frames(touch.sensor_ms[0] - start_ms)
+    over = _frames(touch.sensor_ms[-1] - start_ms) + 1
+    has_gap = len(laid.counts) < _frames(end_ms - start_ms) - 1
     if has_gap or over - first < LEAST_FRAMES or len(laid.counts) - over < LEAST_AFTER_FRAMES:
         return []
-    return [InPassing(*set_up(laid), laid.gesture, laid.counts, laid.sensor_ms, "live", first, over)]
+    return [InPassing(*set_up(laid), touch.gesture, laid.counts, laid.sensor_ms, "live", first, over)]
