@@ -14,7 +14,6 @@ import pytest
 from msgspec.structs import replace
 from numpy.typing import NDArray
 from rigs.browser import prefer, show_in
-from rigs.expectations import DEMO, stream_of
 from rigs.live_rig import Served, serving
 from rigs.made_events import PREDICTION, TIME
 from rigs.patient_port import playing
@@ -52,12 +51,6 @@ SCRIPT = (
 )
 COUNTS = np.concatenate([part.counts for part in simulate(SCRIPT, seed=6)])
 THREE_TOUCHES = Stream(COUNTS, ideal_clock_ms(len(COUNTS)), ())
-# A pad that reads the same in every frame, which no real one does.
-STILL = Stream(
-    np.tile(stream_of(DEMO).counts[300], (2000, 1, 1)),
-    stream_of(DEMO).sensor_ms[0] + 18 * np.arange(2000),
-    (),
-)
 # Length of the time line.
 LINE_S = 4.0
 CANVAS = "return document.getElementById('heat').toDataURL()"
@@ -537,13 +530,10 @@ def test_buttons_say_what_the_last_or_a_listed_touch_was(
 def test_it_reconnects_when_the_daemon_returns(played: WatchedPage, tmp_path: Path) -> None:
     chrome, port = played.chrome, free_port()
     live = LiveSettings(port=port)
-    with playing(STILL, 1.0, loop=True) as pad, Daemon(tmp_path, pad, live=live) as daemon:
+    with playing(THREE_TOUCHES, 1.0, loop=True) as pad, Daemon(tmp_path, pad, live=live) as daemon:
         chrome.get(daemon.url)
         wait_for(lambda: text_of(chrome, "#vital-rate dd").startswith("5"))
-        before = chrome.execute_script(CANVAS)
-        wait_for(lambda: float(text_of(chrome, "#vital-rate dd").split()[0]) > 50)
-        assert chrome.execute_script(CANVAS) == before
-        wait_for(lambda: not is_stale(chrome))
+        assert not is_stale(chrome)
         daemon.process.kill()
         wait_for(lambda: text_of(chrome, "#banner").startswith("No connection to touchd"))
         assert text_of(chrome, "#vital-link dd") == "reconnecting"
