@@ -1,6 +1,7 @@
 """Asks the person at the terminal for the pad's grid and for presses, and shows the pad's picture."""
 
 import argparse
+import math
 import re
 import select
 import sys
@@ -29,8 +30,6 @@ LISTEN_S = 8.0
 # Extra time for a hand that presses the pad but has not yet reached enough of it to prove the grid.
 LONGER_S = 20.0
 LOOK_EVERY_S = 3.0
-# Longer than any search takes.
-SEARCH_S = 60.0
 CORNER_S = 20.0
 PRESSED_COUNTS = 40
 # A hand that holds its corner stays within a taxel for this long; one that still wanders passes others.
@@ -122,7 +121,7 @@ def find_with_a_hand(console: Console, opened: Line, told: Grid | None) -> tuple
             chunks += listen(opened, LOOK_EVERY_S)
             search_now = searching.submit(search, tuple(chunks), grid)
             # Listen during the search too: a line that nobody reads loses frames.
-            chunks += listen(opened, SEARCH_S, lambda _: search_now.done())  # noqa: B023 - called in this turn
+            chunks += listen(opened, math.inf, lambda _: search_now.done())  # noqa: B023 - called in this turn
             finding = search_now.result()
             if (before and _is_again(finding, before)) or time.monotonic() >= until_s:
                 return finding, at_rest

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from touchd.daemon.app.config import Settings
 from touchd.daemon.doctor.check import Check, Sample
+from touchd.daemon.doctor.hand import PRESSED_COUNTS, TURNS
 from touchd.daemon.path.monitor import FAULTS, STILL_S, TaxelFaults, places
 from touchd.daemon.path.pipeline import tracker_of
 from touchd.daemon.path.tracker import Onset
@@ -23,8 +24,7 @@ WRONG_WAY_COUNTS = 0.75 * MAX_COUNT
 LOADED_COUNTS = 50.0
 # How long TaxelFaults needs to distinguish a stuck taxel from a quiet one.
 HEALTH_S = STILL_S + 0.5
-PRESSED_COUNTS = 40
-CORNER_ROWS = (0, 1, 6, 7)
+CORNER_LINES = {0, 1, 6, 7}
 
 # The most noise that an untouched taxel may have.
 MOST_NOISE_COUNTS = 4.0
@@ -159,8 +159,7 @@ def check_taxels(sample: Sample) -> list[Check]:
 def is_pressed(frame: Frame, rest: NDArray[np.float64]) -> bool:
     """Return whether a finger presses a corner of the pad in this frame. rest: (8, 8) counts."""
     above = frame.pressure - rest
-    row, column = _place(above)
-    return bool(above.max() >= PRESSED_COUNTS) and row in CORNER_ROWS and column in CORNER_ROWS
+    return bool(above.max() >= PRESSED_COUNTS) and {*_place(above)} <= CORNER_LINES
 
 
 def _place(above: NDArray[np.float64]) -> tuple[int, int]:
@@ -174,26 +173,21 @@ def check_orientation(sample: Sample, rest: NDArray[np.float64], settings: Setti
     again = "run touchd doctor again, and press the corner"
     if not sample.frames:
         return Check("orientation", "not checked", "no frames came", again)
-    if not is_pressed(sample.frames[-1], rest):
-        if (rest - sample.counts()).max() >= PRESSED_COUNTS:
-            found = "the values fall where the pad is pressed: upside down"
-            return Check("orientation", "to do", found, _turned_over(settings))
-        above = (sample.counts() - rest).max(axis=0)
-        if above.max() < PRESSED_COUNTS:
-            return Check("orientation", "not checked", "no corner was pressed", again)
-        row, column = _place(above)
-        found = f"pressed elsewhere, at row {row + 1} column {column + 1}"
-        return Check("orientation", "not checked", found, again)
-    row, column = _place(sample.frames[-1].pressure - rest)
-    found = f"the top left corner is at row {row + 1} column {column + 1}"
-    if row < ROWS // 2 and column < COLUMNS // 2:
-        return Check("orientation", "ok", found)
-    if row >= ROWS // 2 and column >= COLUMNS // 2:
-        return Check("orientation", "to do", found, "turn the pad by 180 degrees, or add 180 to sensor.turn")
-    # As `init` turns it: clockwise, until this corner is at the top left.
-    turn = 90 if row >= ROWS // 2 else 270
-    advice = f"turn the pad, or add {turn} to sensor.turn; if it is mirrored, swap its plugs instead"
-    return Check("orientation", "to do", found, advice)
+    above = sample.counts() - rest
+    is_corner = is_pressed(sample.frames[-1], rest)
+    row, column = _place(above[-1] if is_corner else above.max(axis=0))
+    place = f"at row {row + 1} column {column + 1}"
+    if is_corner:
+        # As `init` turns it: clockwise, until this corner is at the top left.
+        (turn, _), _ = TURNS[row >= ROWS // 2, column >= COLUMNS // 2]
+        advice = f"turn the pad, or add {turn} to sensor.turn; if it is mirrored, swap its plugs instead"
+        found = f"the top left corner is {place}"
+        return Check("orientation", "to do" if turn else "ok", found, advice if turn else "")
+    if -above.min() >= PRESSED_COUNTS:
+        found = "the values fall where the pad is pressed: upside down"
+        return Check("orientation", "to do", found, _turned_over(settings))
+    found = f"pressed elsewhere, {place}" if above.max() >= PRESSED_COUNTS else "no corner was pressed"
+    return Check("orientation", "not checked", found, again)
 
 
 def _turned_over(settings: Settings) -> str:

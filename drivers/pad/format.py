@@ -16,7 +16,6 @@ Few = Annotated[int, msgspec.Meta(ge=0, le=64)]
 # The largest value of a cell; a float has no relevant limit.
 CELL_TOP = {"u8": 255, "u12": 4095, "u16": 65535, "i16": 32767}
 
-Grid = NDArray[np.float32]
 Values = NDArray[np.generic]
 """The cells of a frame as sent, in order: unsigned, signed or float."""
 
@@ -36,10 +35,6 @@ class Sent(NamedTuple):
 
 class FormatError(TouchdError, ValueError):
     """A description contradicts itself; the message says which setting and why."""
-
-
-# Settings of a binary frame that text does not have.
-BINARY_ALONE = ("header", "cell", "order", "checksum")
 
 
 class SentFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -69,13 +64,11 @@ class SentFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     def __post_init__(self) -> None:
         rows, columns = self.used
         if not all(SHORTEST_SIDE <= side <= LONGEST_SIDE for side in self.used):
-            raise FormatError(
-                f"{self.rows}x{self.columns} with crop {self.crop} leaves {rows}x{columns}; "
-                f"a side of {SHORTEST_SIDE} to {LONGEST_SIDE} must be left: change rows, columns or crop"
-            )
-        given = msgspec.to_builtins(self)
-        for name in BINARY_ALONE if self.framing == "text" else ("end",):
-            if name in given:
+            left = f"{self.rows}x{self.columns} with crop {self.crop} leaves {rows}x{columns}"
+            raise FormatError(f"{left}; a side of {SHORTEST_SIDE} to {LONGEST_SIDE} must be left")
+        others = ("header", "cell", "order", "checksum") if self.framing == "text" else ("end",)
+        for name in others:
+            if name in msgspec.to_builtins(self):
                 raise FormatError(f"{name} is not for a {self.framing} format; leave it out")
         if self.framing == "text":
             if self.has_clock and not self.skip:
@@ -154,7 +147,7 @@ class Layout:
         return counts
 
 
-def _resampling(side: int, crop: int, wanted: int) -> Grid:
+def _resampling(side: int, crop: int, wanted: int) -> NDArray[np.float32]:
     """Return (wanted, side): the share of each line of cells in each line of taxels."""
     left = side - 2 * crop
     edges, cells = np.arange(wanted + 1) * left / wanted, np.eye(left)

@@ -18,8 +18,7 @@ from touchd.drivers.frame import ProtocolCounts
 from touchd.drivers.pad.format import PadFormat, Sent
 
 # Room for a number with its label, separators and alignment, and for words beside the numbers of a line.
-CHARACTERS_A_NUMBER = 24
-CHARACTERS_A_LINE = 256
+CHARACTERS_A_NUMBER, CHARACTERS_A_LINE = 24, 256
 LINE_END = re.compile(rb"\r*\n\r*|\r+")
 # What may stand between plain numbers; a line with anything else is read by TOKEN.
 SEPARATORS = b",;|\t\"'[](){}<>$#!&@/\\~^`?"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rigs.doctor_rig import SETTINGS, pad_of, resting, sample
 
-from touchd.daemon.doctor.check import Check, listen
+from touchd.daemon.doctor.check import listen
 from touchd.daemon.doctor.values import (
     check_noise,
     check_orientation,
@@ -146,29 +146,24 @@ def test_a_touch_during_the_rest_check_is_reported(sensitivity: Sensitivity, adv
     assert ("touch.sensitivity" in check.advice) == advised
 
 
-def orientation(counts: Counts) -> Check:
-    """Check a press in the last half of a second."""
-    return check_orientation(sample(counts), np.median(counts, axis=0), SETTINGS)
-
-
 @pytest.mark.parametrize(
-    ("row", "column", "verdict", "said"),
+    ("row", "column", "counts", "verdict", "said"),
     [
-        (0, 1, "ok", ""),
-        (7, 7, "to do", "add 180"),
-        (0, 7, "to do", "add 270"),
-        (7, 0, "to do", "add 90"),
-        (3, 5, "not checked", "pressed elsewhere, at row 4 column 6"),
-        (None, None, "not checked", "no corner was pressed"),
+        (0, 1, 300, "ok", ""),
+        (7, 7, 300, "to do", "add 180"),
+        (0, 7, 300, "to do", "add 270"),
+        (7, 0, 300, "to do", "add 90"),
+        (3, 5, 300, "not checked", "pressed elsewhere, at row 4 column 6"),
+        (0, 0, 3, "not checked", "no corner was pressed"),
+        (0, 0, -300, "to do", TURN_OVER),
     ],
 )
 def test_the_pressed_place_tells_how_the_pad_lies(
-    row: int | None, column: int, verdict: str, said: str
+    row: int, column: int, counts: int, verdict: str, said: str
 ) -> None:
-    counts = resting(1.0)
-    if row is not None:
-        counts[-10:, row, column] += 300
-    check = orientation(counts)
+    pressed = resting(1.0).astype(np.int64) + 500
+    pressed[-10:, row, column] += counts
+    check = check_orientation(sample(pressed.astype(np.uint16)), np.median(pressed, axis=0), SETTINGS)
     assert check.verdict == verdict
     assert said in f"{check.found} {check.advice}"
 
@@ -181,10 +176,3 @@ def test_listening_ends_when_the_corner_is_pressed() -> None:
         parser = FrameParser(SETTINGS.sensor.described)
         found = listen(opened, parser, 15.0, enough=lambda frame: is_pressed(frame, rest))
     assert check_orientation(found, rest, SETTINGS).verdict == "ok"
-
-
-def test_values_that_fall_under_the_hand_are_upside_down() -> None:
-    counts = resting(1.0) + 500
-    counts[-10:, 0, 0] -= 300
-    check = orientation(counts)
-    assert (check.verdict, check.advice) == ("to do", TURN_OVER)
