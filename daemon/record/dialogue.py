@@ -174,7 +174,8 @@ class Dialogue:
         peak = max(int(frame.pressure.max()) for frame in capture.frames)
         rate_hz = pace_of(capture.frames).rate_hz
         touched = f"{capture.touched_share:.0%} of the time"
-        touched = f"for {capture.length_s:.1f} s" if take.is_single else touched
+        if take.is_single:
+            touched = f"for {capture.length_s:.1f} s"
         self._print(
             f"  {len(capture.frames)} frames, {rate_hz:.1f} a second, peak {peak} counts, touched {touched}"
         )
@@ -183,14 +184,13 @@ class Dialogue:
             return "keep"
         for complaint in found:
             self._print(f"  {complaint}", style="yellow")
-        choices = {"": "keep", "r": "redo", "s": "skip"}
-        question = "Enter to keep it, r to do it again"
-        if found:
-            choices = {"": "redo", "k": "keep", "s": "skip"}
-            question = "Enter to do it again, k to keep it all the same"
-        if take.is_single and capture.touch is None:
-            del choices["k"]
-            question = "Enter to do it again"
+        if not found:
+            question, choices = "Enter to keep it, r to do it again", {"": "keep", "r": "redo"}
+        elif take.is_single and capture.touch is None:
+            question, choices = "Enter to do it again", {"": "redo"}
+        else:
+            question, choices = "Enter to do it again, k to keep it all the same", {"": "redo", "k": "keep"}
+        choices["s"] = "skip"
         return choices[self._ask(f"  {question}, s to skip, q to stop: ", choices)]
 
     def _provenance(self, capture: Capture) -> dict[str, str]:
