@@ -18,6 +18,9 @@ from torch.nn import functional
 from touchd.model.adapt.backbone import CropFeatures
 from touchd.model.adapt.optimise import GRADIENT_LIMIT, learning_rate_at
 
+# The class at lengths that a recording does not have.
+UNASKED = -1
+
 
 class AdaptSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Settings of fine-tuning.
@@ -95,14 +98,9 @@ def fit(
 
 def _loss(head: nn.Sequential, parts: Sequence[tuple[Tensor, ...]], settings: AdaptSettings) -> Tensor:
     """Return the mean cross entropy of drawn crops at the lengths that their recordings have."""
-    values, targets, within = (torch.cat(part) for part in zip(*parts, strict=True))
-    losses = functional.cross_entropy(
-        head(values).flatten(0, 1),
-        targets.repeat_interleave(values.shape[1]),
-        label_smoothing=settings.label_smoothing,
-        reduction="none",
-    )
-    return losses[within.flatten()].mean()
+    values, classes = (torch.cat(part).flatten(0, 1) for part in zip(*parts, strict=True))
+    smoothing = settings.label_smoothing
+    return functional.cross_entropy(head(values), classes, ignore_index=UNASKED, label_smoothing=smoothing)
 
 
 def _known(head: nn.Sequential, is_known: Tensor) -> list[Tensor]:
@@ -113,12 +111,12 @@ def _known(head: nn.Sequential, is_known: Tensor) -> list[Tensor]:
 
 def _draw(
     crops: CropFeatures, labels: Sequence[str], count: int, rng: torch.Generator
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Draw random crops; return values (count, 4, features), classes (count,) and within (count, 4)."""
+) -> tuple[Tensor, Tensor]:
+    """Draw random crops; return values (count, 4, features), and classes (count, 4) or UNASKED."""
     recordings = len(crops.gestures)
     # Draw each recording equally often.
     passes = [torch.randperm(recordings, generator=rng) for _ in range(-(-count // recordings))]
     chosen = torch.cat(passes)[:count]
     crop = torch.randint(crops.values.shape[1], (count,), generator=rng)
-    classes = torch.tensor([labels.index(crops.gestures[i]) for i in chosen.tolist()])
-    return crops.values[chosen, crop], classes, crops.within[chosen]
+    classes = torch.tensor([[labels.index(crops.gestures[i])] for i in chosen.tolist()])
+    return crops.values[chosen, crop], torch.where(crops.within[chosen], classes, UNASKED)
