@@ -92,9 +92,8 @@ class FaultLog:
         """
         now_s = time.monotonic() if now_s is None else now_s
         fault = self._faults[kind]
-        is_said = fault.lasts and bool(what) and fault.is_logged
-        if fault.lasts and what:
+        is_over, fault.lasts = fault.lasts and bool(what), False
+        if is_over:
             level = logging.INFO if fault.is_logged else logging.DEBUG
             self._log.log(level, "%s%s (after %.1f s)", self._prefix, what, now_s - fault.since_s)
-        fault.lasts = False
-        return is_said
+        return is_over and fault.is_logged

@@ -109,7 +109,6 @@ class RobotLink(Worker):
             self._on_state(state, reason)
 
     def begin(self, session: RobotSession) -> None:
-        """Send every status."""
         for pad in self._pads.values():
             pad.sent = ""
         while self.tend(session):

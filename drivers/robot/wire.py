@@ -41,6 +41,7 @@ class WireSession:
         self._settings, self._limits, self._stopping = settings, limits, stopping
         self._scheme, self._host, main = settings.address
         self._port, self._number = port or main, 0
+        # Unconnected until `use`.
         self._line, self._ended = socket.socket(), select.poll()
         # By port: other processes. By name: a service's process, its number there and its methods.
         self._processes: dict[int, WireSession] = {}
