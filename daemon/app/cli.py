@@ -1,5 +1,6 @@
 """The command `touchd`: finds the subcommand, and turns every error into one line and an exit code."""
 
+import argparse
 import difflib
 import errno
 import importlib
@@ -10,6 +11,7 @@ import signal
 import sys
 from collections.abc import Sequence
 from importlib import metadata
+from types import ModuleType
 
 from touchd.drivers.errors import DISK_FULL, TouchdError, one_line
 from touchd.drivers.installed import SIZES, extra_of, how_to_install, program_name
@@ -39,8 +41,21 @@ COMMANDS = {
 """What each subcommand does; its module in `commands` is imported only when it is called."""
 
 
-def module_of(command: str) -> str:
-    return f"touchd.daemon.commands.{command.replace('-', '_')}"
+def module_of(command: str) -> ModuleType:
+    return importlib.import_module(f"touchd.daemon.commands.{command.replace('-', '_')}")
+
+
+def options_of(command: str, words: Sequence[str]) -> argparse.Namespace:
+    """Parse a command's options; raises SystemExit on --help, and if they are wrong."""
+    module = module_of(command)
+    parser = argparse.ArgumentParser(prog=f"touchd {command}", description=module.DESCRIPTION)
+    module.add_options(parser)
+    options, stray = parser.parse_known_args(words)
+    if stray:
+        is_file = hasattr(options, "config") and not stray[0].startswith("-")
+        advice = f"; a configuration follows -c, as in -c {stray[0]}" if is_file else ""
+        parser.error(f"unrecognized arguments: {' '.join(stray)}{advice}")
+    return options
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -74,12 +89,12 @@ def _run(words: Sequence[str]) -> int:
     if not words or words[0] not in COMMANDS:
         return _answer(words)
     name, *rest = words
-    command = importlib.import_module(module_of(name))
+    command = module_of(name)
     # From here on, signals raise KeyboardInterrupt, so that commands clean up; an import could swallow it.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, signal.default_int_handler)
-    return int(command.main(rest))
+    return int(command.main(options_of(name, rest)))
 
 
 def _prepare_streams() -> None:

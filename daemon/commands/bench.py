@@ -32,21 +32,17 @@ START_S = 30.0
 STAMP_S = 0.002
 # An event read from the daemon, and when, by `time.monotonic` and by `time.time`.
 Received = tuple[Event, float, float]
+DESCRIPTION = "Measures the real daemon on a fake pad at 54 Hz."
 
 
-def parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="touchd bench", description="Measures the real daemon on a fake pad at 54 Hz."
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seconds", type=within(float, 1.0, 86400.0), default=120.0, help="of touches (%(default)g)"
     )
-    return parser
 
 
-def main(arguments: Sequence[str]) -> int:
+def main(options: argparse.Namespace) -> int:
     """Measure and print; returns 0 whatever the figures are."""
-    options = parser().parse_args(arguments)
     with Console(stderr=True).status(f"measuring for {QUIET_S + options.seconds:.0f} s"):
         figures = measure(options.seconds)
     for name, value in figures.items():

@@ -2,7 +2,6 @@
 
 import argparse
 import sys
-from collections.abc import Sequence
 
 from touchd.daemon.commands.settings import add_settings, load_model, settings_of
 from touchd.daemon.path.events import Event, encode
@@ -11,21 +10,17 @@ from touchd.daemon.playback.stream import add_arguments, chosen_stream, play
 from touchd.daemon.robot.words import words_of
 from touchd.daemon.view.describe import describe
 
+DESCRIPTION = "Sends recordings through the daemon's pipeline, with notouch before, between and after."
 
-def parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="touchd classify",
-        description="Sends recordings through the daemon's pipeline, with notouch before, between and after.",
-    )
+
+def add_options(parser: argparse.ArgumentParser) -> None:
     add_arguments(parser)
     add_settings(parser, port=False)
     parser.add_argument("--json", action="store_true", help="events as JSON lines to a terminal too")
-    return parser
 
 
-def main(arguments: Sequence[str]) -> int:
+def main(options: argparse.Namespace) -> int:
     """Write the events of the chosen recordings, in words to a terminal, else as JSON lines; returns 0."""
-    options = parser().parse_args(arguments)
     settings = settings_of(options).settings
     in_words = sys.stdout.isatty() and not options.json
     stream, words, model = chosen_stream(options), words_of(settings), load_model(settings)

@@ -2,22 +2,20 @@
 
 import argparse
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 EXAMPLE = Path(__file__).parents[1] / "touchd.example.yaml"
+DESCRIPTION = (
+    "Prints an example configuration with every setting, its default and what it is for. "
+    "To begin with it: touchd config > touchd.yaml"
+)
 
 
-def parser() -> argparse.ArgumentParser:
-    return argparse.ArgumentParser(
-        prog="touchd config",
-        description="Prints an example configuration with every setting, its default and what it is for. "
-        "To begin with it: touchd config > touchd.yaml",
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add none."""
 
 
-def main(arguments: Sequence[str]) -> int:
+def main(options: argparse.Namespace) -> int:
     """Print the example; returns 0."""
-    parser().parse_args(arguments)
     sys.stdout.write(EXAMPLE.read_text(encoding="utf-8"))
     return 0

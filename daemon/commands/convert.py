@@ -3,7 +3,6 @@
 import argparse
 import csv
 import sys
-from collections.abc import Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -18,26 +17,22 @@ from touchd.drivers.errors import TouchdError, os_errors_as
 from touchd.drivers.recording import SUFFIXES, read_recordings
 from touchd.drivers.whole_file import PRIVATE_MODE, whole_file
 
+DESCRIPTION = "Writes a journal as CSV (for pandas), a journal or a recording as MCAP (for Foxglove)."
+
 
 class ConvertError(TouchdError):
     """A file cannot be converted; the message says why."""
 
 
-def parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="touchd convert",
-        description="Writes a journal as CSV (for pandas), a journal or a recording as MCAP (for Foxglove).",
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", type=Path, metavar="FILE", help="a journal, or a recording (.csv, .csv.gz)")
     parser.add_argument(
         "-o", "--out", type=Path, required=True, metavar="OUT", help="a new .csv or .mcap file"
     )
-    return parser
 
 
-def main(arguments: Sequence[str]) -> int:
+def main(options: argparse.Namespace) -> int:
     """Write the file and print its name; returns 0."""
-    options = parser().parse_args(arguments)
     file, out = options.file, options.out
     is_recording = file.name.endswith(SUFFIXES)
     if out.suffix not in (".csv", ".mcap"):

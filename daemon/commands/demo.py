@@ -64,6 +64,7 @@ What to try next:
   {touchd} doctor         looks for a pad and a robot, and says what to do
   {touchd} docs install   how to wire a real pad and a real Nao
 """
+DESCRIPTION = "Needs no pad, no robot and no network."
 
 
 class PlainLines:
@@ -92,15 +93,12 @@ class PlainLines:
 Show: typing.TypeAlias = View | PlainLines
 
 
-def parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="touchd demo", description="Needs no pad, no robot and no network.")
+def add_options(parser: argparse.ArgumentParser) -> None:
     add_live(parser)
-    return parser
 
 
-def main(arguments: Sequence[str]) -> int:
+def main(options: argparse.Namespace) -> int:
     """Show the daemon at work for less than a minute, or with a live page until Ctrl-C; returns 0."""
-    options = parser().parse_args(arguments)
     if options.live is not None:
         return _be_touched(parse_address(options.live, None))
     stream = splice(read_recordings(DEMO_RECORDING))

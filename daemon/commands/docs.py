@@ -2,24 +2,18 @@
 
 import argparse
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 PAGES = {page.stem: page for page in sorted((Path(__file__).parents[2] / "docs").glob("*.md"))}
+DESCRIPTION = "Prints a page of the documentation; without a name, the names of all pages."
 
 
-def parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="touchd docs",
-        description="Prints a page of the documentation; without a name, the names of all pages.",
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("page", nargs="?", choices=list(PAGES), help="the page")
-    return parser
 
 
-def main(arguments: Sequence[str]) -> int:
+def main(options: argparse.Namespace) -> int:
     """Print the page as Markdown; returns 0."""
-    page = parser().parse_args(arguments).page
     names = "".join(f"{name}\n" for name in PAGES)
-    sys.stdout.write(names if page is None else PAGES[page].read_text(encoding="utf-8"))
+    sys.stdout.write(names if options.page is None else PAGES[options.page].read_text(encoding="utf-8"))
     return 0

@@ -1,13 +1,12 @@
 """`touchd doctor`: checks pad, model and robot, and says what to do."""
 
 import argparse
-from collections.abc import Sequence
 
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from touchd.daemon.commands.settings import add_settings, parsed, settings_of
+from touchd.daemon.commands.settings import add_settings, settings_of
 from touchd.daemon.doctor.check import Check, Verdict
 from touchd.daemon.doctor.examine import examine
 from touchd.daemon.doctor.hand import add_grid, can_ask
@@ -19,15 +18,14 @@ ADVICE_AT = VERDICT_WIDTH + NAME_WIDTH + 2
 STYLES: dict[Verdict, str] = {"ok": "green", "warning": "yellow", "to do": "bold red", "not checked": "dim"}
 LISTEN_S = 8.0
 SHORTEST_S, LONGEST_S = 1.0, 600.0
+DESCRIPTION = (
+    "Checks the pad, the model and the robot, and says what to do. Leave the "
+    "pad alone until it asks for a hand, which it does in a terminal. Exit code 0: nothing to do; "
+    "1: something to do; 2: wrong options."
+)
 
 
-def parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="touchd doctor",
-        description="Checks the pad, the model and the robot, and says what to do. Leave the "
-        "pad alone until it asks for a hand, which it does in a terminal. Exit code 0: nothing to do; "
-        "1: something to do; 2: wrong options.",
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
     add_settings(parser)
     add_grid(parser)
     parser.add_argument(
@@ -36,12 +34,10 @@ def parser() -> argparse.ArgumentParser:
         default=LISTEN_S,
         help="how long to listen to the pad (%(default)g)",
     )
-    return parser
 
 
-def main(arguments: Sequence[str]) -> int:
+def main(options: argparse.Namespace) -> int:
     """Show a line for each check; returns 0 when there is nothing to do, else 1."""
-    options = parsed(parser(), arguments)
     settings = settings_of(options).settings
     talk = Console(stderr=True, width=text_width(), highlight=False)
     console = Console(width=text_width(), highlight=False)

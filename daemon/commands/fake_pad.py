@@ -7,13 +7,12 @@ import shlex
 import sys
 import threading
 import typing
-from collections.abc import Sequence
 from contextlib import ExitStack
 
 from numpy.random import RandomState
 
 from touchd.daemon.app.config import Settings
-from touchd.daemon.commands.settings import add_settings, parsed, settings_of
+from touchd.daemon.commands.settings import add_settings, settings_of
 from touchd.daemon.live.address import parse_address
 from touchd.daemon.playback.rig import encoder_for
 from touchd.drivers.fakes.fake_port import LivePort
@@ -27,6 +26,7 @@ if typing.TYPE_CHECKING:
 GESTURES, EVERY_S = ("pat", "stroke", "rub", "constant"), 6.0
 # Time limit for the page.
 STOP_S = 1.0
+DESCRIPTION = "A simulated pad on a serial port whose path is printed, until Ctrl-C."
 
 
 def add_live(parser: argparse.ArgumentParser) -> None:
@@ -47,19 +47,13 @@ def serve_page(closing: ExitStack, settings: Settings, model: Classifier | None)
     return page
 
 
-def parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="touchd fake-pad",
-        description="A simulated pad on a serial port whose path is printed, until Ctrl-C.",
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
     add_live(parser)
     add_settings(parser, "settings, whose pad's format is sent", port=False)
-    return parser
 
 
-def main(arguments: Sequence[str]) -> int:
+def main(options: argparse.Namespace) -> int:
     """Be a pad until Ctrl-C or SIGTERM; returns 0."""
-    options = parsed(parser(), arguments)
     found = settings_of(options)
     pad = SimulatedPad(RandomState(), GESTURES, EVERY_S)
     with ExitStack() as closing:

@@ -33,6 +33,13 @@ from touchd.drivers.search.listen import USUAL_BAUDS, Chunk, likeliest_baud
 from touchd.drivers.search.search import Grid, as_yaml
 from touchd.drivers.whole_file import whole_file
 
+DESCRIPTION = (
+    "Looks for a pad on this computer's ports, tries the robot, and writes a configuration. "
+    "In a terminal it asks for the pad's rows and columns and for presses; otherwise give --grid, and "
+    f"press the pad while it listens for {LISTEN_S:g} s. Exit code 0: pad and robot answered; 1: not; "
+    "2: wrong options."
+)
+
 
 class Found(NamedTuple):
     """A port, its baud rate, and the pad there; None if its bytes are not understood."""
@@ -42,14 +49,7 @@ class Found(NamedTuple):
     described: PadFormat | None
 
 
-def parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="touchd init",
-        description="Looks for a pad on this computer's ports, tries the robot, and writes a configuration. "
-        "In a terminal it asks for the pad's rows and columns and for presses; otherwise give --grid, and "
-        f"press the pad while it listens for {LISTEN_S:g} s. Exit code 0: pad and robot answered; 1: not; "
-        "2: wrong options.",
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", nargs="?", type=Path, default=Path("touchd.yaml"), help="(%(default)s)")
     parser.add_argument("--port", help="the pad's port or address, instead of looking for it")
     parser.add_argument(
@@ -61,12 +61,10 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--robot", metavar="ADDRESS", help="the robot's name or address, such as nao.local, or none"
     )
-    return parser
 
 
-def main(arguments: Sequence[str]) -> int:
+def main(options: argparse.Namespace) -> int:
     """Write the file and say what next; returns 0 when pad and robot answered, else 1."""
-    options = parser().parse_args(arguments)
     _check(options)
     console = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
     found = _find(console, options)

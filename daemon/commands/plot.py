@@ -3,7 +3,6 @@
 import argparse
 import os
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
@@ -13,20 +12,17 @@ from touchd.daemon.playback.stream import add_arguments, chosen_stream
 from touchd.drivers.errors import one_line
 from touchd.drivers.recording import SUFFIXES
 
+DESCRIPTION = "Draws recordings: pressure, touches, answers, mean pads."
 
-def parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="touchd plot", description="Draws recordings: pressure, touches, answers, mean pads."
-    )
+
+def add_options(parser: argparse.ArgumentParser) -> None:
     add_arguments(parser)
     parser.add_argument("-o", "--out", type=Path, metavar="PNG", help="the picture; by default FILE.png")
     add_settings(parser, port=False)
-    return parser
 
 
-def main(arguments: Sequence[str]) -> int:
+def main(options: argparse.Namespace) -> int:
     """Draw the recordings and print the picture's name; returns 0."""
-    options = parser().parse_args(arguments)
     # A notebook sets one that is not installed here.
     os.environ["MPLBACKEND"] = "agg"
     # Imported here because they need matplotlib.

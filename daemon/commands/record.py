@@ -1,7 +1,6 @@
 """`touchd record`: guides a person through a session of recordings, one file each."""
 
 import argparse
-from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
@@ -16,15 +15,14 @@ from touchd.drivers.recording import prepare
 from touchd.model.adapt.folder import trouble_with
 
 INCOMPLETE = 1
+DESCRIPTION = (
+    "Records the pad for training, one file each, and never overwrites a file. Recordings "
+    "that FOLDER has are skipped, so the same command continues after a pause or a crash. touchd asks "
+    "for what the options leave open."
+)
 
 
-def parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="touchd record",
-        description="Records the pad for training, one file each, and never overwrites a file. Recordings "
-        "that FOLDER has are skipped, so the same command continues after a pause or a crash. touchd asks "
-        "for what the options leave open.",
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder for the recordings")
     parser.add_argument("--participant", type=name, metavar="NAME", help="who touches the pad")
     parser.add_argument("--substrate", type=name, metavar="NAME", help="what is under the pad, as in foam")
@@ -41,15 +39,13 @@ def parser() -> argparse.ArgumentParser:
         "--seconds", type=within(float, 1.0, 60.0), default=8.0, help="of each recording (%(default)g)"
     )
     add_settings(parser)
-    return parser
 
 
-def main(arguments: Sequence[str]) -> int:
+def main(options: argparse.Namespace) -> int:
     """Make the missing recordings, until the person stops.
 
     Returns 1 while recordings that were asked for are missing.
     """
-    options = parser().parse_args(arguments)
     console = Console(width=text_width(), highlight=False, markup=False)
     settings = settings_of(options).settings
     try:

@@ -6,7 +6,7 @@ import logging
 import os
 import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack
 
 import msgspec
@@ -14,7 +14,7 @@ import msgspec
 from touchd.daemon.app.config import ConfigError, Settings, config_errors
 from touchd.daemon.app.log import LogWriter
 from touchd.daemon.app.systemd import Health
-from touchd.daemon.commands.settings import Found, add_config, find_settings, only_pad, parsed
+from touchd.daemon.commands.settings import Found, add_config, find_settings, only_pad
 from touchd.daemon.live.address import EVERY_ADDRESS, parse_address, qr_code, urls_of
 from touchd.daemon.path.events import Event, RobotEvent, encode
 from touchd.daemon.path.service import Service
@@ -29,6 +29,10 @@ SWITCH_S = 0.0005
 LOG_STOP_S = 0.4
 
 log = logging.getLogger(__name__)
+DESCRIPTION = (
+    "Reads the pad, tells the robot, and writes events to standard output: in words to a "
+    "terminal, as JSON lines to anything else."
+)
 
 
 class Signals:
@@ -61,12 +65,7 @@ class Signals:
         return self._must_stop
 
 
-def parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="touchd run",
-        description="Reads the pad, tells the robot, and writes events to standard output: in words to a "
-        "terminal, as JSON lines to anything else.",
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
     add_config(parser)
     parser.add_argument("--port", help="read this port instead of the configured one")
     form = parser.add_mutually_exclusive_group()
@@ -88,15 +87,13 @@ def parser() -> argparse.ArgumentParser:
         metavar="KEY=VALUE",
         help="put this into every event, as in participant=P07; repeatable; `touchd tag` changes it later",
     )
-    return parser
 
 
-def main(arguments: Sequence[str]) -> int:
+def main(options: argparse.Namespace) -> int:
     """Run the daemon until Ctrl-C or SIGTERM, or until the reader of its output is gone; returns 0."""
-    options = parsed(parser(), arguments)
     is_terminal = sys.stdout.isatty()
     if options.view and not is_terminal:
-        parser().error("--view needs a terminal")
+        raise ConfigError("--view needs a terminal")
     in_words = is_terminal and not options.json
     tags = changed({}, options.tag)
     with config_errors():

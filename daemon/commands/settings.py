@@ -4,7 +4,6 @@ import argparse
 import os
 import sys
 import typing
-from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
@@ -39,15 +38,6 @@ class Found(NamedTuple):
 def add_config(parser: argparse.ArgumentParser, what: str = "settings") -> None:
     found = f"the first {NAME} here, in ~/.config/touchd, in {SERVICE_FOLDER}; defaults without any"
     parser.add_argument("-c", "--config", type=Path, metavar="FILE", help=f"{what}; without it, {found}")
-
-
-def parsed(parser: argparse.ArgumentParser, arguments: Sequence[str]) -> argparse.Namespace:
-    """Parse the arguments of a command without positional ones; a stray word is usually the configuration."""
-    options, stray = parser.parse_known_args(arguments)
-    if stray:
-        advice = "" if stray[0].startswith("-") else f"; a configuration follows -c, as in -c {stray[0]}"
-        parser.error(f"unrecognized arguments: {' '.join(stray)}{advice}")
-    return options
 
 
 def find_settings(given: Path | None) -> Found:

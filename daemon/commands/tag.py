@@ -2,29 +2,26 @@
 
 import argparse
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 from touchd.daemon.sinks.tags import TagError, changed, in_words, read_tags, running_daemons, write_tags
 from touchd.drivers.errors import one_line, os_errors_as
 
+DESCRIPTION = (
+    "Puts tags into every event of the touchd that runs on this computer, until it ends. "
+    "Prints the tags that then hold. If several run, -c chooses one."
+)
 
-def parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="touchd tag",
-        description="Puts tags into every event of the touchd that runs on this computer, until it ends. "
-        "Prints the tags that then hold. If several run, -c chooses one.",
-    )
+
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "tags", nargs="*", metavar="KEY=VALUE", help="as in participant=P07; KEY= removes a tag"
     )
     parser.add_argument("-c", "--config", type=Path, metavar="FILE", help="of the daemon with these settings")
-    return parser
 
 
-def main(arguments: Sequence[str]) -> int:
+def main(options: argparse.Namespace) -> int:
     """Set the tags, and print those that hold; returns 0."""
-    options = parser().parse_args(arguments)
     # Report a mistake in a tag before a missing daemon.
     changed({}, options.tags)
     wanted = str(options.config.resolve()) if options.config else None

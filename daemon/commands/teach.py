@@ -3,7 +3,6 @@
 import argparse
 import json
 import shlex
-from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
@@ -24,15 +23,14 @@ ROUNDS = 2
 # once take half a minute.
 SECONDS = 6.0
 SINGLES = tuple(HOW_ONCE)
+DESCRIPTION = (
+    "Records every gesture twice, and a single pat and stroke, adapts the shipped model to "
+    "the recordings, and prints how often it was right before and after, and how to use the new model. "
+    "Repeat the command if interrupted."
+)
 
 
-def parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="touchd teach",
-        description="Records every gesture twice, and a single pat and stroke, adapts the shipped model to "
-        "the recordings, and prints how often it was right before and after, and how to use the new model. "
-        "Repeat the command if interrupted.",
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="folder for the recordings and the model")
     add_settings(parser)
     parser.add_argument("--participant", type=name, metavar="NAME", help="who touches; asked if missing")
@@ -42,12 +40,10 @@ def parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--other", action="store_true", help="also record touches that are none of the gestures, as other"
     )
-    return parser
 
 
-def main(arguments: Sequence[str]) -> int:
+def main(options: argparse.Namespace) -> int:
     """Record, adapt and report; returns 0, 1 when stopped before."""
-    options = parser().parse_args(arguments)
     found = settings_of(options)
     # If torch is missing, fail before recording, not after.
     with Console(stderr=True).status("loading torch"):

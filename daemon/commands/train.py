@@ -3,23 +3,23 @@
 import argparse
 import json
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
 
 from touchd.daemon.sinks.touch_store import labels_in
+from touchd.drivers.errors import TouchdError
 from touchd.drivers.frame import NO_TOUCH, OTHER
 from touchd.model.adapt.folder import files_of
 from touchd.model.adapt.output import check_output
 
+DESCRIPTION = (
+    "Adapts the shipped model to your own recordings: a minute for one person, several "
+    "for a dozen. Says how well it does before and after."
+)
 
-def parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="touchd train",
-        description="Adapts the shipped model to your own recordings: a minute for one person, several "
-        "for a dozen. Says how well it does before and after.",
-    )
+
+def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--extra", type=Path, metavar="FOLDER", help="recordings of your own, as `touchd record` makes them"
     )
@@ -31,14 +31,12 @@ def parser() -> argparse.ArgumentParser:
         action="store_true",
         help="keep the gestures that the folder lacks, as the shipped model knows them",
     )
-    return parser
 
 
-def main(arguments: Sequence[str]) -> int:
+def main(options: argparse.Namespace) -> int:
     """Adapt, report, write the new model; returns 0."""
-    options = parser().parse_args(arguments)
     if options.extra is None:
-        parser().error(
+        raise TouchdError(
             "name your recordings: --extra FOLDER; a recipe's networks are trained by "
             "`python -m touchd.model.studies train`, in the repository"
         )

@@ -23,13 +23,10 @@ from touchd.drivers.robot.session import RobotError
 
 LONGEST_S = 9999.0
 START_S = 20.0
+DESCRIPTION = "A robot's services on 127.0.0.1; prints where it listens, then every call, as JSON."
 
 
-def parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="touchd fake-robot",
-        description="A robot's services on 127.0.0.1; prints where it listens, then every call, as JSON.",
-    )
+def add_options(parser: argparse.ArgumentParser) -> None:
     port, seconds = within(int, 0, 2**16 - 1), within(float, 0.0, LONGEST_S)
     parser.add_argument("--port", type=port, default=9559, help="on 127.0.0.1; 0 for any that is free")
     parser.add_argument("--call-s", type=seconds, default=0.0, help="how long every call takes")
@@ -38,15 +35,13 @@ def parser() -> argparse.ArgumentParser:
         "--without", action="append", default=[], choices=SERVICES, help="a service to leave out"
     )
     parser.add_argument("--follow-stdin", action="store_true", help="end when standard input does")
-    return parser
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(options: argparse.Namespace) -> int:
     """Be a robot until SIGINT or SIGTERM; returns 0.
 
     Prints {"listening": url} once all services are there, and every Call. Raises RobotError.
     """
-    options = parser().parse_args(arguments)
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: stop.set())
@@ -130,5 +125,12 @@ class LoopbackRobot:
         started.set()
 
 
+def program() -> int:
+    """Be the robot that this process's arguments describe."""
+    parser = argparse.ArgumentParser(description=DESCRIPTION)
+    add_options(parser)
+    return main(parser.parse_args())
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(program())

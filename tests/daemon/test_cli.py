@@ -169,6 +169,7 @@ def test_a_terminal_that_lacks_a_character_shows_another_one() -> None:
         (f"init {'x' * 300}", "File name too long; give another path"),
         ("classify nowhere.csv", "nowhere.csv: cannot be read as a recording (No such file or directory)"),
         (f"classify {GESTURES} --participant nobody", "no recording matches; participant is one of "),
+        ("run --view", "--view needs a terminal"),
         ("classify docs", "docs: no recording (.csv or .csv.gz) is in this folder"),
     ],
 )
@@ -179,7 +180,6 @@ def test_a_mistake_is_reported_in_one_line(refusal: Refusal, words: str, message
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("run --view", "--view needs a terminal"),
         ("run --view --json", "not allowed with"),
         ("run lab.yaml", "unrecognized arguments: lab.yaml; a configuration follows -c, as in -c lab.yaml"),
         ("run --vew", "unrecognized arguments: --vew\n"),

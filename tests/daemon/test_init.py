@@ -19,9 +19,9 @@ from rigs.robots import LOGIN, Robot
 from rigs.terminal import Terminal
 from serial.tools.list_ports_common import ListPortInfo
 
+from touchd.daemon.app.cli import options_of
 from touchd.daemon.app.config import ConfigError, SensorSettings, load
 from touchd.daemon.commands import init
-from touchd.daemon.commands.init import main
 from touchd.daemon.doctor import hand, machine
 from touchd.daemon.doctor.hand import turned_with_a_hand
 from touchd.daemon.playback.rig import encoder_for
@@ -42,6 +42,10 @@ Captured = pytest.CaptureFixture[str]
 @pytest.fixture(autouse=True)
 def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
+
+
+def main(words: list[str]) -> int:
+    return init.main(options_of("init", words))
 
 
 def write(*options: str) -> int:

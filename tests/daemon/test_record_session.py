@@ -228,7 +228,7 @@ def test_a_model_not_known_to_be_better_is_not_recommended() -> None:
 def test_touches_that_are_no_gesture_are_recorded_if_asked_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, asked: list[str], missing: list[str]
 ) -> None:
-    options = teach.parser().parse_args([str(tmp_path), "--participant", "anna", "--rounds", "1", *asked])
+    options = cli.options_of("teach", [str(tmp_path), "--participant", "anna", "--rounds", "1", *asked])
     made(*(take.path for take in Session(tmp_path, Setting("anna"), GESTURES, 1, 6.0, teach.SINGLES).takes()))
     asked_for: list[str] = []
     monkeypatch.setattr(teach, "PadReader", lambda *_: nullcontext())

@@ -29,13 +29,14 @@ from touchd.daemon.sinks.touches import decode
 AS_ANOTHER_USER = """
 import os, sys
 from contextlib import suppress
+from touchd.daemon.app.cli import options_of
 from touchd.daemon.commands import tag
 from touchd.daemon.sinks import tags
 tags.FOLDERS = (sys.argv[1],)
 with suppress(tags.TagError):
-    tag.main(["-c", "none"])
+    tag.main(options_of("tag", ["-c", "none"]))
 os.setuid(65534)
-tag.main(["participant=P07"])
+tag.main(options_of("tag", ["participant=P07"]))
 """
 
 

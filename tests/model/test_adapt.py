@@ -22,6 +22,7 @@ import onnx
 import torch
 
 from touchd.daemon.app import cli
+from touchd.daemon.app.cli import options_of
 from touchd.daemon.app.config import load
 from touchd.daemon.commands import teach
 from touchd.daemon.path.events import Label, encode
@@ -645,13 +646,13 @@ def test_a_folder_with_too_many_gestures_is_refused(tmp_path: Path) -> None:
 def test_a_foreign_file_is_reported_before_teach_records(tmp_path: Path) -> None:
     (tmp_path / "participants.csv").write_text("name,age\nAnn,30\n")
     with pytest.raises(ExtraError, match=r"participants.csv: no known layout .*move it to another folder"):
-        teach.main([str(tmp_path), "--participant", "ann"])
+        teach.main(options_of("teach", [str(tmp_path), "--participant", "ann"]))
 
 
 def test_a_stopped_teach_does_not_end_as_a_finished_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO("q\n"))
-    assert teach.main([str(tmp_path)]) == 1
+    assert teach.main(options_of("teach", [str(tmp_path)])) == 1
     assert "the same command continues from here" in capsys.readouterr().out
     assert list(tmp_path.iterdir()) == []

@@ -30,4 +30,4 @@ class RealServer:
 
 if __name__ == "__main__":
     fake_robot.QiServer = RealServer  # type: ignore[assignment,misc]
-    fake_robot.main()
+    fake_robot.program()
