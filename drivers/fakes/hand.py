@@ -7,7 +7,7 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
-from typing import Protocol, TypeAlias
+from typing import Protocol, TypeAlias, cast
 
 import numpy as np
 from numpy.random import RandomState
@@ -25,7 +25,6 @@ LONGEST_TOUCH_S, SHORTEST_PAUSE_S = 3.8, 1.5
 ALONE_S = 20.0
 # Deviation, in radians, from up and down the pad, the way of 313 of 380 recorded strokes.
 ASLANT = 0.35
-MIDDLE = (ROWS - 1) / 2
 
 # Where the hand is, in taxels, at a time in seconds; None: off the pad.
 Path: TypeAlias = Callable[[float], tuple[float, float] | None]
@@ -47,14 +46,13 @@ class Fabric:
         loaded = pressed * self._sensitivity
         leak = ROW_LEAK * loaded.sum(axis=-1, keepdims=True)
         noise = NOISE_COUNTS * self._rng.normal(size=pressed.shape)
-        sent = self._rest + loaded + leak + noise
-        counts: Counts = np.rint(sent).clip(0, MAX_COUNT).astype(np.uint16)
-        return counts
+        counts = np.rint(self._rest + loaded + leak + noise).clip(0, MAX_COUNT)
+        return cast(Counts, counts.astype(np.uint16))
 
 
 def middle(rng: RandomState) -> tuple[float, float]:
     """Return a place near the middle of the pad."""
-    row, column = rng.normal(MIDDLE, 0.5, 2)
+    row, column = rng.normal(3.5, 0.5, 2)
     return float(row), float(column)
 
 

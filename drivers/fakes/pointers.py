@@ -91,12 +91,11 @@ def fingers(count: int) -> list[float]:
 
 @dataclass(frozen=True)
 class Shape:
-    """What touches, as parts with a place, and the radius and share of the force of each at rest.
+    """What touches, with its loads in counts.
 
-    Loads in counts. strike: the peak as it lands in one place. struck: what is left after that. light: as it
-    begins to move. firm: after it has moved for long. still: at rest. pulls: the share by which it presses
-    more as it comes back towards the wrist, and less the other way. uneven: deviation of the parts' loads
-    from each other, as a logarithm.
+    strike: the peak as it lands in one place. struck: after that. light: as it begins to move. firm: after it
+    has moved for long. still: at rest. pulls: the share by which it presses more as it comes back towards the
+    wrist, and less the other way. uneven: deviation of the parts' loads, as a logarithm.
     """
 
     parts: tuple[Part, ...]

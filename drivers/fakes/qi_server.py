@@ -47,10 +47,8 @@ class QiServer:
         self._listener = socket.create_server(("127.0.0.1", port))
         self.url = f"tcp://127.0.0.1:{self._listener.getsockname()[1]}"
         self._numbers = {name: number for number, name in enumerate(services, DIRECTORY + 1)}
-        self._objects = {DIRECTORY: self._directory()}
-        self._objects |= {self._numbers[name]: _actions(service) for name, service in services.items()}
-        for actions in self._objects.values():
-            actions |= COMMON
+        self._objects = {self._numbers[name]: _actions(service) for name, service in services.items()}
+        self._objects[DIRECTORY] = self._directory()
         threading.Thread(target=self._let_in, name="touchd-qi-server", daemon=True).start()
 
     def close(self) -> None:
@@ -86,7 +84,7 @@ class QiServer:
         if tuple(target) == wire.AUTHENTICATE:
             return write("{sm}", {**wire.CAPABILITIES, wire.AUTH_STATE: wire.DONE})
         service, _, number = target
-        actions = self._objects[service]
+        actions = self._objects[service] | COMMON
         if number == wire.LIST_METHODS:
             signals = SIGNALS if service == DIRECTORY else {}
             methods: Mapping[int, object] = {

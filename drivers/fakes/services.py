@@ -21,10 +21,7 @@ class Call(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
 
 
 def as_kept(value: object) -> object:
-    """Return a value as ALMemory keeps it; raises ValueError for what it cannot hold.
-
-    ALMemory's integers and floats have four bytes: larger integers are refused, floats lose precision.
-    """
+    """Return a value as ALMemory keeps it, numbers in four bytes; raises ValueError if it does not fit."""
     if isinstance(value, bool | str):
         return value
     if isinstance(value, int | float):
