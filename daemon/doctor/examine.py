@@ -6,20 +6,12 @@ import numpy as np
 from rich.console import Console
 
 from touchd.daemon.app.config import Settings
+from touchd.daemon.doctor import values
 from touchd.daemon.doctor.check import Check, Sample, listen
 from touchd.daemon.doctor.hand import find_with_a_hand, find_without_asking
 from touchd.daemon.doctor.line import check_damage, check_opening, check_protocol, check_rate
 from touchd.daemon.doctor.machine import check_model, check_robot
 from touchd.daemon.doctor.port import advice_for
-from touchd.daemon.doctor.values import (
-    check_noise,
-    check_orientation,
-    check_quiet,
-    check_rest,
-    check_taxels,
-    check_values,
-    is_pressed,
-)
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import Line, SensorError
 from touchd.drivers.search.search import Finding, Grid
@@ -80,22 +72,22 @@ def _examine_pad(
     rest = np.median(sample.counts(), axis=0)
     say(f"Press the pad's top left corner with a finger, within {PRESS_S:g} s ...")
     parser = FrameParser(sensor.described)
-    pressed = listen(opened, parser, PRESS_S, enough=lambda frame: is_pressed(frame, rest))
-    yield check_orientation(pressed, rest, settings)
+    pressed = listen(opened, parser, PRESS_S, enough=lambda frame: values.is_pressed(frame, rest))
+    yield values.check_orientation(pressed, rest, settings)
     if pressed.frames:
-        yield from check_values(pressed, sensor.described.full_scale)
+        yield from values.check_values(pressed, sensor.described.full_scale)
 
 
 def _check_untouched(sample: Sample, settings: Settings) -> Iterator[Check]:
     """Yield the checks of a pad that was left alone."""
     yield check_damage(sample)
     yield check_rate(sample)
-    quiet = check_quiet(sample, settings)
+    quiet = values.check_quiet(sample, settings)
     yield quiet
     if quiet.verdict == "ok":
-        yield check_rest(sample, settings)
-        yield check_noise(sample)
+        yield values.check_rest(sample, settings)
+        yield values.check_noise(sample)
     else:
         yield Check("rest", "not checked", "measured only while nothing touches the pad")
-    yield from check_taxels(sample)
-    yield from check_values(sample, settings.sensor.described.full_scale)
+    yield from values.check_taxels(sample)
+    yield from values.check_values(sample, settings.sensor.described.full_scale)

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable
+from contextlib import suppress
 
 import numpy as np
 
@@ -65,16 +66,12 @@ def check_protocol(
 
 def _other_baud(sensor: SensorSettings, opened: Line) -> int | None:
     """Return the usual baud rate at which frames are decoded, or None."""
-    for baud in USUAL_BAUDS:
-        if baud == sensor.baud:
-            continue
-        try:
+    for baud in (each for each in USUAL_BAUDS if each != sensor.baud):
+        with suppress(OSError, ValueError):
             opened.baudrate = baud
             forget_waiting(opened)
-        except (OSError, ValueError):
-            continue
-        if listen(opened, FrameParser(sensor.described), TRY_BAUD_S, start_s=TRY_BAUD_S).frames:
-            return baud
+            if listen(opened, FrameParser(sensor.described), TRY_BAUD_S, start_s=TRY_BAUD_S).frames:
+                return baud
     return None
 
 

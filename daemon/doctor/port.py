@@ -28,19 +28,16 @@ def lasting_name(port: str) -> tuple[str, str]:
     if is_chosen or not os.path.exists(port):
         return port, "as given"
     device = os.path.realpath(port)
-    by_number, by_socket = (_link_to(device, folder) for folder in (BY_ID, BY_PATH))
+    by_number, by_socket = (
+        next((str(link) for link in sorted(folder.glob("*")) if os.path.realpath(link) == device), "")
+        for folder in (BY_ID, BY_PATH)
+    )
     why = _why_not_by_number(device)
     if by_number and not why:
         return by_number, "it stays with this board, by its serial number"
     if by_socket:
         return by_socket, f"it stays with this socket; {why or 'it has no name by its number'}"
     return by_number or port, "the only name that it has"
-
-
-def _link_to(device: str, folder: Path) -> str:
-    """Return the first link in a folder that leads to a device, "" if none does."""
-    links = sorted(folder.glob("*"))
-    return next((str(link) for link in links if os.path.realpath(link) == device), "")
 
 
 def _why_not_by_number(device: str) -> str:
@@ -114,17 +111,11 @@ def programs_at(port: str) -> str:
     with suppress(OSError):
         device = os.stat(port).st_rdev
         for process in sorted(Path("/proc").glob("[0-9]*")):
-            # A process may end while it is looked at, or belong to another user.
+            # A process may end while it is looked at, or belong to another user. Follow links to
+            # devices alone: a file on a network that hangs would hang this thread too.
             with suppress(OSError):
-                if process.name != str(os.getpid()) and _has_open(process, device):
+                opened = [fd for fd in (process / "fd").iterdir() if os.readlink(fd).startswith("/dev/")]
+                if process.name != str(os.getpid()) and any(os.stat(fd).st_rdev == device for fd in opened):
                     name = (process / "comm").read_text(errors="replace").strip()
                     found.append(f"{name}, process {process.name}")
     return ", ".join(found[:MOST_PROGRAMS])
-
-
-def _has_open(process: Path, device: int) -> bool:
-    # Follow only links to devices: a file on a network that hangs would hang this thread too.
-    return any(
-        os.readlink(fd).startswith("/dev/") and os.stat(fd).st_rdev == device
-        for fd in (process / "fd").iterdir()
-    )

@@ -18,15 +18,10 @@ from rigs.mega_rig import (
     Run,
     build,
     build_board,
-    compiler_missing,
     simulator_missing,
 )
 
 from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT, Frame
-
-requires_compiler = pytest.mark.skipif(
-    compiler_missing(), reason="no AVR toolchain: apt install gcc-avr avr-libc arduino-core-avr make"
-)
 
 TEENSY = Path(__file__).parents[1] / "rigs" / "simulated_teensy"
 PERIOD_MS = 1000 / FRAME_RATE_HZ
@@ -77,12 +72,6 @@ def size(request: pytest.FixtureRequest) -> int:
 def run(board: MakeBoard, size: int) -> Run:
     """A run of a pad of that size, with one picture per scan."""
     return board(size).run(pictures_of(size, size), RUN_S)
-
-
-@requires_compiler
-def test_the_sketch_compiles_for_the_mega_without_a_warning(folder: Path, size: int) -> None:
-    build(folder, size, size)
-    assert (folder / "fabric_grid.hex").stat().st_size > 0
 
 
 def test_the_pins_values_arrive_without_a_lost_frame(run: Run, size: int) -> None:

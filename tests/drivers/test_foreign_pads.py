@@ -8,10 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rigs.pressing import pressed
+from rigs.pressing import likeness, pressed
 
-from touchd.drivers.pad.format import Layout, PadFormat
-from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.search.listen import Chunk
 from touchd.drivers.search.search import Finding, search
 
@@ -130,21 +128,7 @@ def picture_of(printed: Printed, values: Cells) -> float:
     """Return how well what the proposed format reads resembles the pad's cells, from 0 to 1."""
     finding, chunks = found_in(lambda number: printed(values[number], number), values.shape[1:])
     assert finding.proposed is not None, finding.missing
-    parser = FrameParser(finding.proposed)
-    layout = Layout(PadFormat(framing="text", rows=values.shape[1], columns=values.shape[2]))
-    read, true = [], []
-    for chunk, frame in zip(chunks, values, strict=False):
-        for reading in parser.feed(*chunk):
-            read.append(reading.pressure.astype(float))
-            true.append(layout.pressure(frame.ravel().astype(np.float32)).astype(float))
-    assert len(read) > 3 * RATE_HZ
-
-    def likeness(late: int) -> float:
-        one, other = (np.array(each)[late:] for each in (read, true[: len(true) - late] if late else true))
-        one, other = one[: len(other)], other[: len(one)]
-        return float(np.corrcoef((one - one[0]).ravel(), (other - other[0]).ravel())[0, 1])
-
-    return max(likeness(late) for late in (0, 1))
+    return likeness(finding.proposed, chunks, values)
 
 
 def tabled(table: dict[str, Any]) -> list[Any]:

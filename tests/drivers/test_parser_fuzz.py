@@ -38,11 +38,6 @@ def test_a_frame_carries_the_arrival_of_its_last_byte() -> None:
     assert (frame.sensor_ms, frame.host_s) == (5000 + 2 * PERIOD_MS, 11.0)
 
 
-@pytest.mark.parametrize("cut", [1, 3, 4, 7, 8, 9, 100, SIZE - 1])
-def test_a_stream_joined_midway_begins_with_the_next_frame(cut: int) -> None:
-    assert_are(FabricGrid().feed(packets(range(4))[cut:], 0.0), [1, 2, 3])
-
-
 @pytest.mark.parametrize(
     ("damaged", "counted"),
     [

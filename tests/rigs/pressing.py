@@ -1,11 +1,14 @@
 """A hand that presses a pad of any size, for tests that search its bytes."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
 from touchd.drivers.fakes.encode import encode_values
-from touchd.drivers.pad.format import PadFormat
+from touchd.drivers.pad.format import Layout, PadFormat
+from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.search.listen import Chunk
 
 SECONDS = 8.0
@@ -45,3 +48,26 @@ def chunks_of(described: PadFormat, seed: int = 0, rate_hz: float = 50.0) -> lis
     ]
     sent[0] = sent[0]._replace(data=sent[0].data[len(sent[0].data) // 3 :])
     return sent
+
+
+def likeness(found: PadFormat, chunks: Sequence[Chunk], values: NDArray[np.generic]) -> float:
+    """Return how well what a format reads of chunks resembles the values (T, rows, columns) in them, up to 1.
+
+    A frame may be read with the one it is in, or with the next.
+    """
+    parser, (rows, columns) = FrameParser(found), values.shape[1:]
+    layout = Layout(PadFormat(framing="text", rows=rows, columns=columns, full_scale=float(values.max())))
+    read = [
+        (number, frame.pressure)
+        for number, chunk in enumerate(chunks)
+        for frame in parser.feed(*chunk)
+        if number
+    ]
+    assert len(read) > 150
+
+    def alike(late: int) -> float:
+        one = np.array([pressure for _, pressure in read], float)
+        other = np.array([layout.pressure(values[number - late].ravel()) for number, _ in read], float)
+        return float(np.corrcoef((one - one[0]).ravel(), (other - other[0]).ravel())[0, 1])
+
+    return max(alike(0), alike(1))
