@@ -41,28 +41,21 @@ class Signals:
     SIGHUP ends the daemon too when its terminal has closed; otherwise it is ignored.
     """
 
-    def __init__(self) -> None:
-        self._must_stop = False
-
-    def listen(self, *, has_terminal: bool) -> None:
-        """Install the handlers."""
+    def __init__(self, *, has_terminal: bool) -> None:
+        self.must_stop = False
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self.stop)
         # Under nohup it is ignored already.
         if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
             signal.signal(signal.SIGHUP, self.stop if has_terminal else signal.SIG_IGN)
 
+    def stop(self, *_: object) -> None:
+        self.must_stop = True
+
     def ignore(self) -> None:
         """Ignore further signals: the daemon has ended, and the interpreter is about to."""
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             signal.signal(number, signal.SIG_IGN)
-
-    def stop(self, *_: object) -> None:
-        self._must_stop = True
-
-    def must_stop(self) -> bool:
-        """Return whether the daemon must end."""
-        return self._must_stop
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -99,9 +92,8 @@ def main(options: argparse.Namespace) -> int:
     with config_errors():
         found = _find(options)
     settings = found.settings
-    signals = Signals()
     with ExitStack() as closing:
-        signals.listen(has_terminal=any(map(os.isatty, (0, 1, 2))))
+        signals = Signals(has_terminal=any(map(os.isatty, (0, 1, 2))))
         closing.callback(signals.ignore)
         service = Service(settings)
         ports = [pad.sensor.port for pad in settings.pads.values()]
@@ -123,7 +115,7 @@ def main(options: argparse.Namespace) -> int:
         favour_latency()
         health = Health(os.environ, service.pads, service.events)
         closing.callback(health.close)
-        service.run(health.reporting(signals.must_stop))
+        service.run(health.reporting(lambda: signals.must_stop))
     return 0
 
 
