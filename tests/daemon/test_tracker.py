@@ -245,6 +245,12 @@ def unsure(before: float, during: float) -> Detector:
     return Unsure(real.session, real.width, real.training)
 
 
+def test_four_nearly_sure_frames_begin_a_touch() -> None:
+    pad = TrackedPad(TouchTracker(TouchSettings(), unsure(0.97, 1.0)))
+    assert pad.story(palm(3 / 54, 60.0)) == []
+    assert pad.story(palm(1 / 54, 60.0)) == ["began"]
+
+
 @pytest.mark.parametrize(
     ("p_no_touch", "scans", "touches"),
     [
