@@ -16,8 +16,7 @@ def encode_frame(described: PadFormat, counts: Counts, sensor_ms: int | None) ->
 def encode_values(described: PadFormat, values: Values, sensor_ms: int | None) -> bytes:
     """Return values (rows, columns) as the pad would send them.
 
-    Text with an `end` has a line for each row, other text one line for the frame. If numbers are skipped, the
-    first of them is the row's number or the clock.
+    Text has one line, with an `end` one for each row; a skipped number is the clock, or the row's number.
     """
     time = round((sensor_ms or 0) / (UNITS_MS[described.clock] or 1)) % 2**32
     if described.framing == "text":

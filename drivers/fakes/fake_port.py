@@ -1,7 +1,4 @@
-"""Fake pads: pseudo-terminals to open as a serial port.
-
-`FakePort` plays a stream from the moment it is opened. `LivePort` sends what a simulated pad reads now.
-"""
+"""Pseudo-terminals to open as a pad's serial port; they play a stream, or send what a simulated pad reads."""
 
 import array
 import fcntl
@@ -199,19 +196,14 @@ class FakePort(_FakeLine):
 
     def _await_empty(self) -> bool:
         """Wait until the reader has taken every byte; False when it left or the port was stopped."""
-        full_s = time.monotonic()
+        full_s, waiting = time.monotonic(), array.array("i", [0])
         while self._has_reader() and not self._stop.wait(POLL_S):
+            slave = os.open(self.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+            fcntl.ioctl(slave, termios.FIONREAD, waiting)
+            os.close(slave)
             now_s = time.monotonic()
-            if self._waiting_bytes():
+            if waiting[0]:
                 full_s = now_s
             elif now_s - full_s >= EMPTY_FOR_S:
                 return True
         return False
-
-    def _waiting_bytes(self) -> int:
-        """Bytes in the port that the reader has not taken yet."""
-        waiting = array.array("i", [0])
-        slave = os.open(self.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-        fcntl.ioctl(slave, termios.FIONREAD, waiting)
-        os.close(slave)
-        return waiting[0]

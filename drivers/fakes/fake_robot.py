@@ -21,13 +21,12 @@ from touchd.drivers.fakes.qi_server import QiServer
 from touchd.drivers.fakes.services import SERVICES, Call, fake_services
 from touchd.drivers.robot.session import RobotError
 
-LONGEST_S = 9999.0
 START_S = 20.0
 DESCRIPTION = "A robot's services on 127.0.0.1; prints where it listens, then every call, as JSON."
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
-    port, seconds = within(int, 0, 2**16 - 1), within(float, 0.0, LONGEST_S)
+    port, seconds = within(int, 0, 2**16 - 1), within(float, 0.0, 9999.0)
     parser.add_argument("--port", type=port, default=9559, help="on 127.0.0.1; 0 for any that is free")
     parser.add_argument("--call-s", type=seconds, default=0.0, help="how long every call takes")
     parser.add_argument("--say-s", type=seconds, default=0.0, help="how long speech takes")

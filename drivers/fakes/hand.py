@@ -29,7 +29,6 @@ ASLANT = 0.35
 # Where the hand is, in taxels, at a time in seconds; None: off the pad.
 Path: TypeAlias = Callable[[float], tuple[float, float] | None]
 Range: TypeAlias = tuple[float, float]
-# Draws a path.
 Draw: TypeAlias = Callable[[RandomState], Path]
 
 

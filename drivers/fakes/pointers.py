@@ -256,14 +256,6 @@ class _Press:
         sunk = 1.0 - np.exp(-(self._still_s - PAUSE_S) / SINK_S)
         return float(moving + (shape.still - moving) * sunk)
 
-    def _strike(self) -> Series:
-        """Return the load with which each part strikes, in counts."""
-        if self._struck is None:
-            return np.zeros(len(self._parts))
-        times = np.arange(-1, len(STRIKE) + 1)
-        shares: Series = np.interp(self._struck - self._delays, times, (0.0, *STRIKE, 0.0))
-        return self._shape.strike * shares
-
     def _pressure(self) -> Series:
         kept = max(SLIP_KEPT, math.exp(-self._speed / SLIP_SPEED)) if self._speed else TREMOR_KEPT
         self._noise = kept * self._noise + np.sqrt(1.0 - kept**2) * self._rng.normal(size=len(self._noise))
@@ -272,7 +264,10 @@ class _Press:
         # Force grows with the square of the depth.
         each = self.on**2 * self._firmness * uneven
         shares = self._shares * np.where(self._parts[:, 0] < 0.0, 1.0 - self._rolled, 1.0)
-        strike = self._strike()
+        strike = np.zeros(len(self._parts))
+        if self._struck is not None:
+            times = np.arange(-1, len(STRIKE) + 1)
+            strike = self._shape.strike * np.interp(self._struck - self._delays, times, (0.0, *STRIKE, 0.0))
         loads = (self._load + strike) * shares / shares.sum() * each
         depth = np.sqrt((self._load + STRIKE_SPREADS * strike) * each / self._shape.still)
         along, across, radius = self._parts[:, 0], self._parts[:, 1], self._parts[:, 2]

@@ -87,10 +87,7 @@ class QiServer:
         actions = self._objects[service] | COMMON
         if number == wire.LIST_METHODS:
             signals = SIGNALS if service == DIRECTORY else {}
-            methods: Mapping[int, object] = {
-                each: (each, action.gives, action.name, action.takes, "", [], "")
-                for each, action in actions.items()
-            }
+            methods = {n: (n, each.gives, each.name, each.takes, "", (), "") for n, each in actions.items()}
             return write(META_OBJECT, (methods, signals, {}, ""))
         action = actions[number]
         return write(action.gives, action.run(*read(action.takes, payload)))
