@@ -1,7 +1,6 @@
 """`touchd fake-robot`: a stand-in robot on this computer, to see what a Nao would do.
 
-It speaks the robot's protocol, and prints its address and then every call as lines of JSON. `LoopbackRobot`
-runs it in a process of its own.
+It speaks the robot's protocol, and prints its address and then every call as lines of JSON.
 """
 
 import argparse
@@ -70,8 +69,7 @@ def _stop_at_end_of_stdin(stop: threading.Event) -> None:
 class LoopbackRobot:
     """Runs a program that is a robot, on a port that is free, and follows its reports.
 
-    options: of `touchd fake-robot`. on_call: receives each call, from a thread of this object. program: what
-    Python runs, with the same options.
+    options: of `touchd fake-robot`. on_call: gets each call, from another thread. program: what Python runs.
     """
 
     def __init__(
