@@ -115,7 +115,7 @@ def check_robot(settings: Settings) -> Check:
         return Check("robot", "to do", str(error), pin or wire)
     except (RobotLost, RobotRefused) as error:
         if shown and not wanted.token_file:
-            login = f"set robot.user and robot.token_file ({program_name()} docs install)"
+            login = f"set robot.token_file ({program_name()} docs install)"
             found = f"{wanted.url} answers, and asks for a login"
             return Check("robot", "to do", found, f"{login}{pin and f'; {pin}'}")
         return Check("robot", "to do", f"{wanted.url}: {error}", f"ping it; {ADVICE}")
