@@ -38,6 +38,7 @@ from touchd.model.training.weights import left_out_split
 FILE = STORED / "others.json"
 LENGTHS = (54, 144)
 SURE, VERY_SURE = 0.6, 0.65
+LIMITS = (0.1, 0.2, 0.3, 0.5)
 MADE = 72
 SPEEDS_S = (1.0, 1.5, 2.0, 3.0, 5.0)
 CARESSES = 24
@@ -82,12 +83,21 @@ class Lost(msgspec.Struct, frozen=True, kw_only=True):
     by_gesture: dict[str, float]
 
 
+class Trade(msgspec.Struct, frozen=True, kw_only=True):
+    """If `other` counted from one probability on: percent of the eight others named, of the six lost."""
+
+    limit: float
+    named: float
+    lost: float
+
+
 class Measured(msgspec.Struct, frozen=True, kw_only=True):
     """The figures, as they are stored."""
 
     model: str
     windows: list[Windows]
     lost: list[Lost]
+    trade: list[Trade]
     streams: Told
     made: dict[str, Told]
     blows_called_pat: float
@@ -164,6 +174,20 @@ def lost(people: str, split: Split) -> Lost:
             str(name): _percent(is_lost[asked.gestures == name]) for name in np.unique(asked.gestures)
         }
     return Lost(people=people, after=after, by_gesture=by_gesture)
+
+
+def trade(others: Split, known: Split) -> list[Trade]:
+    """Return the share named over the share lost, of windows of 2.67 s."""
+    strange, usual = ask(others, LENGTHS[-1]), ask(known, LENGTHS[-1])
+    touched = usual.other[usual.gestures != NO_TOUCH]
+    return [
+        Trade(
+            limit=limit,
+            named=_percent((strange.named >= SURE) & (strange.other < limit)),
+            lost=_percent(touched >= limit),
+        )
+        for limit in LIMITS
+    ]
 
 
 def told(played: Sequence[Sequence[Event]], right: str = "") -> Told:
@@ -272,6 +296,7 @@ def measure(folders: Folders, weights: Path, firm: Path | None) -> Measured:
         model=shipped.name,
         windows=[windows(strange, third, length) for length in LENGTHS],
         lost=[lost(name, split) for name, split in people.items()],
+        trade=trade(strange, third),
         streams=told(_other_streams(folders)),
         made={"blow": told(blows), "squeeze": told(squeezes)},
         blows_called_pat=_percent(np.array([any(map(_is_sure_pat, events)) for events in blows])),
@@ -328,6 +353,10 @@ def tables(measured: Measured) -> dict[str, str]:
     speeds = measured.caresses
     return {
         "others": table(heads, [(name, t.n, t.known, t.known_very_sure, t.other) for name, t in rows]),
+        "trade": table(
+            ("`other` counts from", *(f"{at.limit:g}" for at in measured.trade)),
+            [("eight others named / six lost, %", *(f"{at.named:g} / {at.lost:g}" for at in measured.trade))],
+        ),
         "caresses": table(
             ("a caress of", *(f"{seconds} s" for seconds in speeds)),
             [("told stroke, %", *(f"{told.right}" for told in speeds.values()))],
