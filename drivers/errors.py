@@ -6,6 +6,7 @@ errors are handled where they arise and never shown, or internal: exit code 1.
 
 import argparse
 import errno
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -25,6 +26,15 @@ def one_line(text: str, max_bytes: int = MAX_LINE_BYTES) -> str:
     # Do not use a codec: it would be imported here, when no file descriptor may be left.
     escaped = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text[:max_bytes])
     return escaped.encode()[:max_bytes].decode(errors="ignore")
+
+
+def goes_to_systemd(fd: int) -> bool:
+    """Return whether systemd's journal reads what is written to a file descriptor (systemd.exec(5))."""
+    stream = os.environ.get("JOURNAL_STREAM")
+    if stream is None:
+        return False
+    status = os.fstat(fd)
+    return stream == f"{status.st_dev}:{status.st_ino}"
 
 
 class TouchdError(Exception):

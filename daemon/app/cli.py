@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from importlib import metadata
 from types import ModuleType
 
-from touchd.drivers.errors import DISK_FULL, TouchdError, one_line
+from touchd.drivers.errors import DISK_FULL, TouchdError, goes_to_systemd, one_line
 from touchd.drivers.installed import SIZES, extra_of, how_to_install, program_name
 
 USERS_MISTAKE, OUR_MISTAKE, INTERRUPTED = 2, 1, 130
@@ -138,7 +138,8 @@ def discard_output() -> None:
 def complain(error: Exception) -> int:
     """Write one line about an error that a command raised; returns the exit code."""
     what, code = _explained(error)
-    sys.stderr.write(f"touchd: {one_line(what)}\n")
+    level = "<3>" if goes_to_systemd(2) else ""
+    sys.stderr.write(f"{level}touchd: {one_line(what)}\n")
     return code
 
 

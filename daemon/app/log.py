@@ -5,7 +5,7 @@ import time
 from collections import Counter
 
 from touchd.daemon.sinks.sink import LinesSink
-from touchd.drivers.errors import one_line
+from touchd.drivers.errors import goes_to_systemd, one_line
 
 # Lines that one place in the code may log in this time: enough for sixteen pads, too few to fill a disk.
 MOST_LINES = 60
@@ -13,6 +13,8 @@ WHILE_S = 60.0
 MOST_TRACE_LINES = 100
 LINE = logging.Formatter("%(levelname)s %(name)s: %(message)s")
 _TRACE = logging.Formatter()
+# The numbers of syslog(3), by which `journalctl -p warning` selects.
+SYSLOG_LEVELS = {logging.CRITICAL: 2, logging.ERROR: 3, logging.WARNING: 4, logging.INFO: 6, logging.DEBUG: 7}
 
 
 class LogGate(logging.Filter):
@@ -52,7 +54,8 @@ class LogGate(logging.Filter):
 class LogWriter(logging.Handler):
     """Writes the records that the gate lets through to a file descriptor, in its own thread.
 
-    If their reader is slow, the oldest are dropped.
+    If their reader is slow, the oldest are dropped; the next line says how many. For systemd's
+    journal, each line begins with its level, as in <4> (sd-daemon(3)).
     """
 
     def __init__(self, fd: int) -> None:
@@ -61,12 +64,26 @@ class LogWriter(logging.Handler):
         # The sink must not log into itself.
         unseen = logging.getLogger(f"{__name__}.unseen")
         unseen.disabled = True
-        self._lines = LinesSink("log", fd, _line, log=unseen)
+        self._lines = LinesSink("log", fd, self._line, log=unseen)
+        self._dropped_before = 0
+        self._is_journal = goes_to_systemd(fd)
         self.start, self.stop = self._lines.start, self._lines.stop
 
     def emit(self, record: logging.LogRecord) -> None:
         self._lines.put(record)
 
+    def _line(self, record: logging.LogRecord) -> bytes:
+        lines = self._with_level(record)
+        lost, self._dropped_before = self._lines.dropped - self._dropped_before, self._lines.dropped
+        if lost:
+            gap = f"{lost} lines of the log were dropped: nobody read them"
+            before = logging.LogRecord(__name__, logging.WARNING, "", 0, gap, None, None)
+            lines = f"{self._with_level(before)}\n{lines}"
+        return lines.encode(errors="replace")
 
-def _line(record: logging.LogRecord) -> bytes:
-    return LINE.format(record).encode(errors="replace")
+    def _with_level(self, record: logging.LogRecord) -> str:
+        lines = LINE.format(record)
+        if not self._is_journal:
+            return lines
+        level = SYSLOG_LEVELS.get(record.levelno, SYSLOG_LEVELS[logging.INFO])
+        return "\n".join(f"<{level}>{line}" for line in lines.split("\n"))

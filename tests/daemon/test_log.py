@@ -2,13 +2,16 @@
 
 import logging
 import os
+import subprocess
 
 import pytest
 from rigs.made_events import record
+from rigs.programs import TOUCHD
 from rigs.wait import WITHIN_S
 
 from touchd.daemon.app.cli import main
 from touchd.daemon.app.log import MOST_LINES, LogGate, LogWriter
+from touchd.daemon.sinks.sink import LinesSink
 from touchd.drivers.errors import MAX_LINE_BYTES, one_line
 
 HOSTILE = "one\nERROR root: forged\r\x1b]0;title\x07\x1b[2J\u202egnp.exe\x00\ud800\x9b31m"
@@ -34,6 +37,38 @@ def test_every_written_line_has_passed_the_gate() -> None:
         lines = file.read().removesuffix("\n").split("\n")
     assert len(lines) == MOST_LINES
     assert all(line.startswith("WARNING library: closed: one") and line.isprintable() for line in lines)
+
+
+def test_systemds_journal_gets_the_level_of_each_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    reader, writer = os.pipe()
+    status = os.fstat(writer)
+    monkeypatch.setenv("JOURNAL_STREAM", f"{status.st_dev}:{status.st_ino}")
+    log = LogWriter(writer)
+    log.start()
+    log.handle(record("ready", level=logging.INFO))
+    failed = record("failed", line=2, level=logging.ERROR)
+    failed.exc_info = (OSError, OSError("gone"), None)
+    log.handle(failed)
+    log.stop(WITHIN_S)
+    os.close(writer)
+    with open(reader, encoding="utf-8") as file:
+        assert file.read().splitlines() == [
+            "<6>INFO library: ready",
+            "<3>ERROR library: failed",
+            "<3>  OSError: gone",
+        ]
+
+
+def test_a_command_that_fails_under_systemd_says_its_level() -> None:
+    reader, writer = os.pipe()
+    status = os.fstat(writer)
+    stream = {"JOURNAL_STREAM": f"{status.st_dev}:{status.st_ino}"}
+    subprocess.run(
+        [*TOUCHD, "run", "-c", "nowhere"], env={**os.environ, **stream}, stderr=writer, check=False
+    )
+    os.close(writer)
+    with open(reader, encoding="utf-8") as file:
+        assert file.read().startswith("<3>touchd: nowhere: cannot be read")
 
 
 @pytest.mark.parametrize(
@@ -85,3 +120,18 @@ def test_one_place_cannot_flood_the_log(monkeypatch: pytest.MonkeyPatch) -> None
 def test_debugging_is_not_limited() -> None:
     gate = LogGate()
     assert all(gate.filter(record("detail", level=logging.DEBUG)) for _ in range(10 * MOST_LINES))
+
+
+def test_lines_of_the_log_that_nobody_read_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(LinesSink, "capacity", 3)
+    reader, writer = os.pipe()
+    log = LogWriter(writer)
+    for number in range(10):
+        log.handle(record(f"line {number}", line=number))
+    log.start()
+    log.stop(WITHIN_S)
+    os.close(writer)
+    with open(reader) as file:
+        lines = [line.partition(": ")[2] for line in file.read().splitlines()]
+    gap = "7 lines of the log were dropped: nobody read them"
+    assert lines == [gap, "line 7", "line 8", "line 9"]
