@@ -186,7 +186,7 @@ def test_a_kill_during_a_call_is_survived(either: str) -> None:
 
 
 def test_a_hang_is_noticed_and_events_flow_again_after_it(either: str) -> None:
-    with Robot() as robot, linked(robot, client=either) as (link, states):
+    with Robot() as robot, linked(robot, client=either, limits=IMPATIENT) as (link, states):
         states.wait_for("up")
         robot.hang()
         assert "no answer within" in states.wait_for("up", "down")
