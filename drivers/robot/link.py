@@ -31,11 +31,12 @@ class Act(NamedTuple):
 
 @dataclass
 class _Pad:
-    """What the robot's memory has of a pad. prefix: of its events. status: to be there; sent: what is."""
+    """A pad's events: their prefix, its status, the one last sent, the one that another program wrote."""
 
     prefix: str
     status: str = "up"
     sent: str = ""
+    foreign: object = "down"
     remove_at_s: float = math.inf
 
 
@@ -130,18 +131,19 @@ class RobotLink(Worker):
         return False
 
     def ask(self, session: RobotSession) -> None:
-        """Look for a status that another touchd has set to down, which is then sent again."""
+        """Look for a status that another touchd wrote; its "down" is replaced."""
         for pad in self._pads.values():
             found = self._memory(session, "getData", f"{pad.prefix}/Status")
-            if found == "down" != pad.sent:
-                pad.sent = "down"
+            if found != pad.sent:
+                pad.foreign = found
+                pad.sent = "down" if found == "down" else pad.sent
                 what = f"another touchd writes {pad.prefix}/Status; give one of them robot.prefix"
                 self._faults.begin("shared", what)
 
     def end(self, session: RobotSession) -> None:
-        """Remove every gesture, and set every status to down."""
+        """Remove every gesture, and set every status to down unless another touchd has it up."""
         for pad in self._pads.values():
-            pad.status, pad.remove_at_s = "down", 0.0
+            pad.status, pad.remove_at_s = "down" if pad.foreign == "down" else pad.sent, 0.0
         while self.tend(session):
             pass
 

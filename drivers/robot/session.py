@@ -87,6 +87,8 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     client: Literal["touchd", "qi"] = "touchd"
 
     def __post_init__(self) -> None:
+        if not re.fullmatch(r"(?!AL)\w+", self.prefix):
+            raise ValueError(f"prefix {self.prefix!r} must be one word and not begin with AL, as the robot's")
         if self.token_file is not None and "/" not in self.token_file:
             raise ValueError("token_file is not a full path; write the token into a file and give its path")
         if self.address[0] != "tcps" and (self.token_file or self.certificate):
@@ -107,9 +109,7 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         if parts is None or int(parts[3] or 1) not in range(1, 65536):
             # What is before an @ may be a password.
             shown = re.sub(r"//.*@", "//***@", self.url)
-            raise ValueError(
-                f"{shown!r} is not a robot's name or address, such as nao.local or tcp://nao:9559"
-            )
+            raise ValueError(f"{shown!r} is not a robot's name or address, such as nao.local")
         scheme = (parts[1] or "tcp").lower()
         return scheme, parts[2].strip("[]"), int(parts[3] or PORTS[scheme])
 

@@ -41,7 +41,6 @@ class WireSession:
         self._settings, self._limits, self._stopping = settings, limits, stopping
         self._scheme, self._host, main = settings.address
         self._port, self._number = port or main, 0
-        # Unconnected until `use`.
         self._line, self._ended = socket.socket(), select.poll()
         # By port: other processes. By name: a service's process, its number there and its methods.
         self._processes: dict[int, WireSession] = {}
@@ -52,7 +51,7 @@ class WireSession:
             self.use(hosts.connect(self._host, self._port, self._limits.connect_s, self._stopping), go_on)
 
     def use(self, line: socket.socket, go_on: GoOn) -> None:
-        """Log in over a connection, with TLS if the address says so."""
+        """Log in over a connection, in place of the unconnected socket, with TLS if the address says so."""
         self._line.close()
         self._line = line
         line.settimeout(hosts.SLICE_S)
@@ -107,12 +106,11 @@ class WireSession:
         process = self._processes.get(port)
         if process is None or not process.connected():
             process = WireSession(self._settings, self._limits, self._stopping, port)
+            self._processes[port] = process
             try:
                 process.connect()
             except (RobotLost, RobotRefused) as error:
-                process.close()
                 raise RobotRefused(str(error)) from error
-            self._processes[port] = process
         return process
 
     def _ask(self, target: tuple[int, int, int], payload: bytes, returns: str, go_on: GoOn) -> Any:
