@@ -2,10 +2,12 @@
 
 import argparse
 import csv
+import io
 import sys
+from collections.abc import Sequence
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import msgspec
 from rich.console import Console
@@ -42,48 +44,42 @@ def main(options: argparse.Namespace) -> int:
     if out.exists():
         raise ConvertError(f"{out}: exists; give another --out, or move the file away")
     if out.suffix == ".mcap":
-        # Fail before the work if mcap is not installed.
-        import touchd.daemon.record.mcap  # noqa: F401
+        # It may not be installed.
+        from touchd.daemon.record import mcap
     with (
         Console(stderr=True).status(f"reading {file}"),
         os_errors_as(ConvertError, f"{out}: cannot be written", "give another --out"),
         whole_file(out, replace=False, mode=PRIVATE_MODE) as partial,
+        partial.open("xb") as target,
     ):
         if is_recording:
-            _write_recording(file, partial)
+            mcap.write_recordings(read_recordings(file), target)
+        elif out.suffix == ".mcap":
+            mcap.write_events(_events_in(file), target)
         else:
-            _write_journal(file, partial, is_csv=out.suffix == ".csv")
+            _write_table(_events_in(file), target)
     sys.stdout.write(f"{out}\n")
     return 0
 
 
-def _write_recording(file: Path, out: Path) -> None:
-    from touchd.daemon.record import mcap
-
-    with out.open("xb") as target:
-        mcap.write_recordings(read_recordings(file), target)
-
-
-def _write_journal(file: Path, out: Path, *, is_csv: bool) -> None:
-    # Read once: a running daemon may append to the file or rotate it.
+def _events_in(file: Path) -> Sequence[Event]:
+    """Return a journal's events; raises JournalError if there are none."""
     events, wrong = read_events(file)
     if not events:
         raise JournalError(f"{file}, line 1: {wrong[0]}" if wrong else f"{file}: no events in it")
     if wrong:
         sys.stderr.write(f"{file}: skipped {len(wrong)} lines that are not events\n")
-    if is_csv:
-        columns = list(dict.fromkeys(chain.from_iterable(map(_flat, events))))
-        with out.open("x", encoding="utf-8", newline="") as target:
-            # Readable by pandas and spreadsheets.
-            table = csv.DictWriter(target, columns, lineterminator="\n")
-            table.writeheader()
-            # Build the rows again rather than keep them: for a journal of years they would take gigabytes.
-            table.writerows(map(_flat, events))
-        return
-    from touchd.daemon.record import mcap
+    return events
 
-    with out.open("xb") as messages:
-        mcap.write_events(events, messages)
+
+def _write_table(events: Sequence[Event], target: IO[bytes]) -> None:
+    """Write events as CSV that pandas and spreadsheets read."""
+    columns = list(dict.fromkeys(chain.from_iterable(map(_flat, events))))
+    with io.TextIOWrapper(target, encoding="utf-8", newline="") as text:
+        table = csv.DictWriter(text, columns, lineterminator="\n")
+        table.writeheader()
+        # Build the rows again rather than keep them: for a journal of years they would take gigabytes.
+        table.writerows(map(_flat, events))
 
 
 def _flat(event: Event) -> dict[str, Any]:
