@@ -9,9 +9,10 @@ from rich.console import Console
 
 from touchd.daemon.commands.settings import add_settings, load_model, settings_of
 from touchd.daemon.playback.stream import add_arguments, chosen_stream
-from touchd.drivers.errors import one_line
+from touchd.drivers.errors import one_line, os_errors_as
 from touchd.drivers.recording import SUFFIXES
 
+FORMATS = (".png", ".svg", ".pdf")
 DESCRIPTION = "Draws recordings: pressure, touches, answers, mean pads."
 
 
@@ -29,7 +30,8 @@ def main(options: argparse.Namespace) -> int:
     from touchd.daemon.plot import plot
 
     path: Path = options.out or picture_of(options.files[0])
-    plot.check_format(path)
+    if path.suffix not in FORMATS:
+        raise plot.PlotError(f"{path}: unknown format; end the name of -o with {', '.join(FORMATS)}")
     settings = settings_of(options).settings
     model = load_model(settings)
     stream = chosen_stream(options)
@@ -37,7 +39,9 @@ def main(options: argparse.Namespace) -> int:
     names = one_line(", ".join(file.name for file in options.files))
     with Console(stderr=True).status("drawing"):
         traced = plot.trace(stream, settings, model)
-        plot.save(plot.draw_recording(traced, f"{names}, answers of {model.name}"), path)
+        figure = plot.draw_recording(traced, f"{names}, answers of {model.name}")
+        with os_errors_as(plot.PlotError, f"{path}: cannot be written", "name another file with -o"):
+            figure.savefig(path)
     sys.stdout.write(f"{path}\n")
     return 0
 

@@ -4,7 +4,6 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import cycle, pairwise
-from pathlib import Path
 from typing import TypeAlias
 
 import matplotlib as mpl
@@ -18,12 +17,11 @@ from touchd.daemon.path.events import UNCERTAIN, Event, Prediction, TouchBegan
 from touchd.daemon.path.pipeline import Pipeline
 from touchd.daemon.playback.stream import play
 from touchd.daemon.sinks.touches import ReportedTouch, gather
-from touchd.drivers.errors import TouchdError, os_errors_as
+from touchd.drivers.errors import TouchdError
 from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH, OTHER
 from touchd.drivers.recording import UNLABELLED, Span, Stream
 from touchd.model.classifier import Classifier
 
-FORMATS = (".png", ".svg", ".pdf")
 # One for each stage at a mark, and one for those about touches that are over or go on.
 LANES = ("early", "revised", "final", "released, later")
 INK, QUIET_INK, PALE = "#222222", "#777777", "#e4e4e4"
@@ -68,18 +66,6 @@ def colours_of(gestures: Iterable[str]) -> dict[str, str]:
     """Return a colour for each gesture of a picture."""
     own = sorted(set(gestures) - COLOURS.keys())
     return {**COLOURS, **dict(zip(own, cycle(OTHER_COLOURS), strict=False))}
-
-
-def check_format(path: Path) -> None:
-    """Raise PlotError if the suffix names no format of pictures."""
-    if path.suffix not in FORMATS:
-        raise PlotError(f"{path}: unknown format; end the name of -o with {', '.join(FORMATS)}")
-
-
-def save(figure: Figure, path: Path) -> None:
-    """Write a figure in the format that the suffix names; raises PlotError."""
-    with os_errors_as(PlotError, f"{path}: cannot be written", "name another file with -o"):
-        figure.savefig(path)
 
 
 @dataclass(frozen=True, eq=False)
