@@ -26,6 +26,7 @@ from touchd.drivers.recording import (
     set_up,
     splice,
 )
+from touchd.model.adapt.folder import files_of
 
 DEMO_RECORDING = Path(__file__).parent / "data" / "demo.csv.gz"
 # Long enough for a touch to end and the baseline to settle, short enough to wait for.
@@ -71,17 +72,10 @@ def chosen_stream(arguments: argparse.Namespace) -> Stream:
 
 
 def recording_files(paths: Sequence[Path]) -> list[Path]:
-    """Return the files among paths, and for each folder its recordings in order of their names.
-
-    A folder of touches that a daemon saves also has the one that it is writing.
-    """
+    """Return the files among paths, and for each folder its recordings in order of their names."""
     files: list[Path] = []
     for path in paths:
-        if not path.is_dir():
-            files.append(path)
-            continue
-        whole = (file for file in path.iterdir() if not file.name.startswith("."))
-        inside = sorted(file for file in whole if file.name.endswith(SUFFIXES))
+        inside = files_of(path) if path.is_dir() else [path]
         if not inside:
             raise RecordingError(f"{path}: no recording ({' or '.join(SUFFIXES)}) is in this folder")
         files += inside
