@@ -20,10 +20,10 @@ PLACED = re.compile(r"(.*) - at `(?:key` in `)?\$?\.?(.*)`", re.DOTALL)
 UNKNOWN = re.compile(r"Object contains unknown field `(.*)`")
 WRONG_KIND = re.compile(r"Expected `(.*)`, got `(.*)`")
 OUT_OF_RANGE = re.compile(r"Expected `(?:int|float)` ([<>]=?) (.*)")
-WRONG_CHOICE = re.compile(r"Invalid enum value (.*)")
-# Others, and what is wrong in each case. {form}: an example of the setting.
+# Others, and what is wrong in each case. {form}: an example of the setting. {choices}: what it may be.
 PROBLEMS = {
     r"Expected `str` matching regex .*": "another form expected, as in {form}",
+    r"Invalid enum value (.*)": "{0} is not one of {choices}",
     r"Object missing required field `(.*)`": "{0} is missing",
     r"Expected `array` of length (\d+), got (\d+)": "{0} values expected, not {1}",
     r"Expected `(?:str|array)` of length >= 1": "must not be empty",
@@ -160,11 +160,9 @@ def explain(error: str, struct: type[msgspec.Struct], raw: object) -> str:
         problem = _wrong_kind(wanted, match[2], EXAMPLES.get(name))
     elif match := OUT_OF_RANGE.fullmatch(problem):
         problem = _out_of_range(match[1], match[2], name, _value_at(raw, path))
-    elif match := WRONG_CHOICE.fullmatch(problem):
-        problem = f"{match[1]} is not one of {choices}"
     for pattern, words in PROBLEMS.items():
         if match := re.fullmatch(pattern, problem):
-            problem = words.format(*match.groups(), form=EXAMPLES.get(name))
+            problem = words.format(*match.groups(), form=EXAMPLES.get(name), choices=choices)
     return f"{path}: {problem}" if path else problem
 
 
