@@ -3,6 +3,7 @@
 import logging
 import time
 from collections import Counter
+from collections.abc import Callable
 
 from touchd.daemon.sinks.sink import LinesSink
 from touchd.drivers.errors import goes_to_systemd, one_line
@@ -51,30 +52,36 @@ class LogGate(logging.Filter):
         return True
 
 
-class LogWriter(logging.Handler):
-    """Writes the records that the gate lets through to a file descriptor, in its own thread.
+class LogHandler(logging.Handler):
+    """Hands the records that the gate lets through to `take`."""
+
+    def __init__(self, take: Callable[[logging.LogRecord], None]) -> None:
+        super().__init__()
+        self.addFilter(LogGate())
+        self._take = take
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._take(record)
+
+
+class LogLines(LinesSink[logging.LogRecord]):
+    """Writes log records to a file descriptor, in its own thread.
 
     If their reader is slow, the oldest are dropped; the next line says how many. For systemd's
     journal, each line begins with its level, as in <4> (sd-daemon(3)).
     """
 
     def __init__(self, fd: int) -> None:
-        super().__init__()
-        self.addFilter(LogGate())
         # The sink must not log into itself.
         unseen = logging.getLogger(f"{__name__}.unseen")
         unseen.disabled = True
-        self._lines = LinesSink("log", fd, self._line, log=unseen)
+        super().__init__("log", fd, self._line, log=unseen)
         self._dropped_before = 0
         self._is_journal = goes_to_systemd(fd)
-        self.start, self.stop = self._lines.start, self._lines.stop
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self._lines.put(record)
 
     def _line(self, record: logging.LogRecord) -> bytes:
         lines = self._with_level(record)
-        lost, self._dropped_before = self._lines.dropped - self._dropped_before, self._lines.dropped
+        lost, self._dropped_before = self.dropped - self._dropped_before, self.dropped
         if lost:
             gap = f"{lost} lines of the log were dropped: nobody read them"
             before = logging.LogRecord(__name__, logging.WARNING, "", 0, gap, None, None)

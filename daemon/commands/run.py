@@ -12,7 +12,7 @@ from contextlib import ExitStack
 import msgspec
 
 from touchd.daemon.app.config import ConfigError, Settings, config_errors
-from touchd.daemon.app.log import LogWriter
+from touchd.daemon.app.log import LogHandler, LogLines
 from touchd.daemon.app.systemd import Health
 from touchd.daemon.commands.settings import Found, add_config, find_settings, only_pad
 from touchd.daemon.live.address import EVERY_ADDRESS, parse_address, qr_code, urls_of
@@ -41,8 +41,9 @@ class Signals:
     SIGHUP ends the daemon too when its terminal has closed; otherwise it is ignored.
     """
 
-    def __init__(self, *, has_terminal: bool) -> None:
+    def __init__(self) -> None:
         self.must_stop = False
+        has_terminal = any(map(os.isatty, (0, 1, 2)))
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self.stop)
         # Under nohup it is ignored already.
@@ -93,7 +94,7 @@ def main(options: argparse.Namespace) -> int:
         found = _find(options)
     settings = found.settings
     with ExitStack() as closing:
-        signals = Signals(has_terminal=any(map(os.isatty, (0, 1, 2))))
+        signals = Signals()
         closing.callback(signals.ignore)
         service = Service(settings)
         ports = [pad.sensor.port for pad in settings.pads.values()]
@@ -122,7 +123,7 @@ def main(options: argparse.Namespace) -> int:
 def _show_in_terminal(service: Service, settings: Settings, page: str, closing: ExitStack) -> logging.Handler:
     """Show the first pad in the whole terminal; return the log's handler. page: its address."""
     # It brings rich, which no service needs.
-    from touchd.daemon.view.view import View, ViewLog
+    from touchd.daemon.view.view import View
 
     (name, first), *_ = settings.pads.items()
     title = f"{first.sensor.port} · {page}" if page else first.sensor.port
@@ -132,14 +133,15 @@ def _show_in_terminal(service: Service, settings: Settings, page: str, closing: 
     service.watchers.append(view)
     view.labeller = service.parts.labeller
     closing.enter_context(listening(view.on_key))
-    return ViewLog(view)
+    # On standard error they would corrupt the picture.
+    return LogHandler(lambda record: view.note(record.getMessage(), record.levelno >= logging.WARNING))
 
 
 def _log_to_stderr(closing: ExitStack) -> logging.Handler:
-    writer = LogWriter(sys.stderr.fileno())
-    writer.start()
-    closing.callback(writer.stop, LOG_STOP_S)
-    return writer
+    lines = LogLines(sys.stderr.fileno())
+    lines.start()
+    closing.callback(lines.stop, LOG_STOP_S)
+    return LogHandler(lines.put)
 
 
 def _find(options: argparse.Namespace) -> Found:

@@ -1,6 +1,5 @@
 """The terminal view: pad, answer, time line, probabilities, and the robot's words."""
 
-import logging
 import signal
 import threading
 from collections import deque
@@ -15,7 +14,6 @@ from rich.style import Style
 from rich.text import Text
 
 from touchd.daemon.app.config import Settings
-from touchd.daemon.app.log import LogGate
 from touchd.daemon.path.events import (
     UNCERTAIN,
     Event,
@@ -347,15 +345,3 @@ def _fitted(lines: Sequence[Text], width: int, height: int) -> list[Text]:
     for line in fitted:
         line.truncate(width, overflow="crop", pad=True)
     return fitted
-
-
-class ViewLog(logging.Handler):
-    """Shows in a view the log records that the gate lets through; on standard error they would corrupt it."""
-
-    def __init__(self, view: View) -> None:
-        super().__init__()
-        self.addFilter(LogGate())
-        self._view = view
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self._view.note(record.getMessage(), record.levelno >= logging.WARNING)

@@ -10,11 +10,22 @@ from rigs.programs import TOUCHD
 from rigs.wait import WITHIN_S
 
 from touchd.daemon.app.cli import main
-from touchd.daemon.app.log import MOST_LINES, LogGate, LogWriter
+from touchd.daemon.app.log import MOST_LINES, LogGate, LogHandler, LogLines
 from touchd.daemon.sinks.sink import LinesSink
 from touchd.drivers.errors import MAX_LINE_BYTES, one_line
 
 HOSTILE = "one\nERROR root: forged\r\x1b]0;title\x07\x1b[2J\u202egnp.exe\x00\ud800\x9b31m"
+
+
+def write(fd: int, *records: logging.LogRecord) -> None:
+    """Write records as the daemon's log does, and close the file."""
+    lines = LogLines(fd)
+    handler = LogHandler(lines.put)
+    for each in records:
+        handler.handle(each)
+    lines.start()
+    lines.stop(WITHIN_S)
+    os.close(fd)
 
 
 def test_foreign_text_is_printable_and_short() -> None:
@@ -27,12 +38,7 @@ def test_foreign_text_is_printable_and_short() -> None:
 
 def test_every_written_line_has_passed_the_gate() -> None:
     reader, writer = os.pipe()
-    log = LogWriter(writer)
-    log.start()
-    for _ in range(MOST_LINES + 1):
-        log.handle(record("closed: %s", HOSTILE))
-    log.stop(WITHIN_S)
-    os.close(writer)
+    write(writer, *(record("closed: %s", HOSTILE) for _ in range(MOST_LINES + 1)))
     with open(reader, encoding="utf-8") as file:
         lines = file.read().removesuffix("\n").split("\n")
     assert len(lines) == MOST_LINES
@@ -43,14 +49,9 @@ def test_systemds_journal_gets_the_level_of_each_line(monkeypatch: pytest.Monkey
     reader, writer = os.pipe()
     status = os.fstat(writer)
     monkeypatch.setenv("JOURNAL_STREAM", f"{status.st_dev}:{status.st_ino}")
-    log = LogWriter(writer)
-    log.start()
-    log.handle(record("ready", level=logging.INFO))
     failed = record("failed", line=2, level=logging.ERROR)
     failed.exc_info = (OSError, OSError("gone"), None)
-    log.handle(failed)
-    log.stop(WITHIN_S)
-    os.close(writer)
+    write(writer, record("ready", level=logging.INFO), failed)
     with open(reader, encoding="utf-8") as file:
         assert file.read().splitlines() == [
             "<6>INFO library: ready",
@@ -125,12 +126,7 @@ def test_debugging_is_not_limited() -> None:
 def test_lines_of_the_log_that_nobody_read_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(LinesSink, "capacity", 3)
     reader, writer = os.pipe()
-    log = LogWriter(writer)
-    for number in range(10):
-        log.handle(record(f"line {number}", line=number))
-    log.start()
-    log.stop(WITHIN_S)
-    os.close(writer)
+    write(writer, *(record(f"line {number}", line=number) for number in range(10)))
     with open(reader) as file:
         lines = [line.partition(": ")[2] for line in file.read().splitlines()]
     gap = "7 lines of the log were dropped: nobody read them"
