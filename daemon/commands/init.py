@@ -76,7 +76,8 @@ def main(options: argparse.Namespace) -> int:
     unseen = Found(options.port or DEFAULT_PORT, options.baud or SensorSettings().baud, None)
     port, baud, described = found or unseen
     name, why = lasting_name(port)
-    robot = _find_robot(console, _ask_robot(console) if options.robot is None else options.robot)
+    urls = _ask_robot(console) if options.robot is None else _urls_of_robot(options.robot)
+    robot = find_robot(urls, lambda url: console.print(f"trying {url} ...")) or next(iter(urls), None)
     certificate = certificate_at(robot) if robot and robot.startswith("tcps://") else None
     _write(options.file, name, baud, described or PRESETS[FABRIC], robot, certificate)
     file = shlex.quote(str(options.file))
@@ -102,8 +103,7 @@ def _check(options: argparse.Namespace) -> None:
         raise ConfigError(
             f"{options.file}: cannot be written (no such folder, or no permission); give another path"
         )
-    if options.robot not in (None, "none"):
-        robot_urls(options.robot)
+    _urls_of_robot(options.robot or "")
     if options.port:
         check_pad(Settings(sensor=SensorSettings(port=options.port)))
 
@@ -203,23 +203,17 @@ def _describe(console: Console, opened: Line, where: str, tried: str, grid: Grid
         grid = None
 
 
-def _find_robot(console: Console, typed: str) -> str | None:
-    """Return the address at which the robot answers, else the likeliest one; None for no robot."""
-    if typed in ("", "none"):
-        return None
-    urls = robot_urls(typed)
-    return find_robot(urls, lambda url: console.print(f"trying {url} ...")) or urls[0]
+def _urls_of_robot(typed: str) -> Sequence[str]:
+    """Return where a robot may answer, the likeliest first; empty for no robot. Raises RobotError."""
+    return () if typed in ("", "none") else robot_urls(typed)
 
 
-def _ask_robot(console: Console) -> str:
-    """Return the address that the user types, "" without a terminal or at end of input."""
+def _ask_robot(console: Console) -> Sequence[str]:
+    """Return where the robot that the user types may answer; empty without a terminal."""
     while can_ask():
         console.print("The robot's name or address, as in nao.local (Enter: no robot): ", end="")
-        typed = sys.stdin.readline().strip()
         try:
-            if typed not in ("", "none"):
-                robot_urls(typed)
-            return typed
+            return _urls_of_robot(sys.stdin.readline().strip())
         except RobotError as error:
             console.print(str(error), style="yellow")
-    return ""
+    return ()
