@@ -1,16 +1,21 @@
-"""The fake pad: every command reads it as typed in docs/install.md, without hardware."""
+"""The fake pad, which every command reads as typed in docs/install.md, and the fake robot."""
 
 import json
 import re
 import shlex
 import signal
+import socket
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from rigs.programs import TOUCHD, Program
+from rigs.programs import TOUCHD, Program, ran
+from rigs.robots import link_threads, say
 from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S
+
+from touchd.drivers.robot.link import RobotLink
+from touchd.drivers.robot.session import RobotSettings
 
 PAGE = (Path(__file__).parents[2] / "docs/install.md").read_text()
 SECTION = PAGE.partition("## Without a pad")[2].partition("## ")[0]
@@ -82,3 +87,27 @@ def test_the_printed_command_reads_a_pad_of_another_format(tmp_path: Path) -> No
             assert json.loads(daemon.stdout.readline())["state"] == "up"
             daemon.kill()
         program.kill()
+
+
+def test_the_fake_robot_prints_its_address_and_every_call() -> None:
+    with Program(*TOUCHD, "fake-robot", "--port", "0") as process:
+        url = json.loads(process.stdout.readline())["listening"]
+        assert url.startswith("tcp://127.0.0.1:")
+        link = RobotLink(RobotSettings(url=url), acts=True)
+        link.start()
+        link.act([say("pat")])
+        calls = map(json.loads, process.stdout)
+        said = next(call for call in calls if call["method"] == "say")
+        assert said["arguments"] == ["pat"]
+        link.stop()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(WITHIN_S) == 0
+    assert link_threads() == []
+
+
+def test_a_robots_port_in_use_is_reported_in_one_line() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        done = ran([*TOUCHD, "fake-robot", "--port", str(taken.getsockname()[1])])
+    assert done.returncode == 2
+    assert done.stderr.startswith("touchd: cannot listen on port")
+    assert len(done.stderr.splitlines()) == 1
