@@ -105,6 +105,9 @@ class Bridge(QueuedSink[Any]):
         else:
             self._items.dropped += 1
 
+    def may_drop(self, item: tuple[Item, float] | None) -> bool:
+        return item is not None and super().may_drop(item[0])
+
     def write(self, item: tuple[Item, float]) -> None:
         """Send one item; an event that is lost with its connection is sent again over the next."""
         sent, since_s = item

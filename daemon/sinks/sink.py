@@ -71,7 +71,7 @@ class QueuedSink(ABC, Generic[Item]):
         self.name = name
         self._log = log
         self._faults = FaultLog(log, f"{name}: ")
-        self._items: DroppingQueue[Item | None] = DroppingQueue(self.capacity, _may_drop)
+        self._items: DroppingQueue[Item | None] = DroppingQueue(self.capacity, self.may_drop)
         self._abandoned = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"touchd-{name}", daemon=True)
 
@@ -98,6 +98,10 @@ class QueuedSink(ABC, Generic[Item]):
             lost = "%s: %d events or more are lost: not passed on before the end"
             self._log.warning(lost, self.name, left)
 
+    def may_drop(self, item: Item | None) -> bool:
+        """Whether an item may be dropped first: not the end marker, nor a state, which stays valid."""
+        return item is not None and not isinstance(item, SensorEvent | RobotEvent)
+
     @abstractmethod
     def write(self, item: Item) -> None:
         """Pass one item on; may block, but not for long once `_abandoned` is set."""
@@ -113,11 +117,6 @@ class QueuedSink(ABC, Generic[Item]):
             self._faults.count("dropped", self.dropped, f"events or frames are being lost: {why}", over)
         if self.dropped:
             self._log.warning("%s: %d events or frames were lost in all", self.name, self.dropped)
-
-
-def _may_drop(item: object) -> bool:
-    """Whether an item may be dropped first: not the end marker, nor a state, which stays valid."""
-    return item is not None and not isinstance(item, SensorEvent | RobotEvent)
 
 
 class LinesSink(QueuedSink[Item]):

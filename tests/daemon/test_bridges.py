@@ -18,7 +18,7 @@ from rigs.sockets import free_port
 from rigs.wait import WITHIN_S, wait_for
 
 from touchd.daemon.bridges.bridge import Bridge
-from touchd.daemon.path.events import Label
+from touchd.daemon.path.events import Label, SensorEvent, encode
 from touchd.drivers import hosts
 
 KINDS = {
@@ -84,6 +84,19 @@ def test_events_arrive_in_order_and_again_after_the_peer_died(peer: Peer) -> Non
         wait_for(lambda: len(numbers(peer)) >= 9)
         assert numbers(peer) == list(range(1, 10))
         peer.stop()
+
+
+@pytest.mark.parametrize("peer", CONNECTING, indirect=True)
+def test_states_outlast_events_in_a_full_queue(peer: Peer, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Bridge, "capacity", 5)
+    monkeypatch.setattr("touchd.daemon.bridges.bridge.STALE_S", WITHIN_S)
+    state = SensorEvent(state="degraded", time=TIME)
+    bridge = peer.bridge()
+    for item in (state, *map(event, range(1, 20))):
+        bridge.put(item)
+    peer.start()
+    wait_for(lambda: 19 in numbers(peer))
+    assert encode(state).decode() in peer.received
 
 
 @pytest.mark.parametrize("peer", APART, indirect=True)
