@@ -32,8 +32,6 @@ PROGRAM = (sys.executable, "-m", "touchd.daemon.bridges.apart")
 # Reserve less memory that is never used; import no module from the working folder.
 ENVIRONMENT = {"MALLOC_ARENA_MAX": "2", "OPENBLAS_NUM_THREADS": "1", "PYTHONSAFEPATH": "1"}
 READY = "ready"
-# A start takes half a second of a core.
-RETRY_S = 5.0
 MOST_LINE_BYTES = 1000
 
 
@@ -50,11 +48,14 @@ class ApartBridge(Bridge):
     name: of the robot.
     """
 
+    # A start takes half a second of a core.
+    retry_s = 5.0
+
     def __init__(self, section: LslSettings | Ros2Settings, name: str, pads: Sequence[str]) -> None:
         library, domain = ("ros2", section.domain) if isinstance(section, Ros2Settings) else ("lsl", 0)
         self._arguments = (library, str(domain), name, *pads)
         self._process: subprocess.Popen[bytes] | None = None
-        super().__init__(library, pads, math.inf, "its own process", RETRY_S)
+        super().__init__(library, pads, math.inf, "its own process")
 
     def hold(self) -> str:
         with subprocess.Popen(

@@ -4,13 +4,13 @@ import logging
 import threading
 import time
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
 from touchd.daemon.path.events import Event
 from touchd.daemon.sinks.sink import QueuedSink
 from touchd.drivers.errors import TouchdError
-from touchd.drivers.frame import Frame
+from touchd.drivers.frame import COLUMNS, ROWS, Frame
 
 # An event, or a frame and its pad.
 Item: TypeAlias = Event | tuple[Frame, str]
@@ -18,7 +18,14 @@ Item: TypeAlias = Event | tuple[Frame, str]
 # One second of frames of a pad; more would only delay events.
 MOST_FRAMES = 54
 POLL_S = 0.05
-RETRY_S = 1.0
+# A frame as a sensor_msgs/Image of ROS, but for its header and its pixels.
+IMAGE: Mapping[str, Any] = {
+    "height": ROWS,
+    "width": COLUMNS,
+    "encoding": "mono16",
+    "is_bigendian": 0,
+    "step": 2 * COLUMNS,
+}
 # An event that has waited longer is not sent: a receiver would take it for a new one. As for the robot.
 STALE_S = 2.0
 GOODBYE_S = 1.0
@@ -42,17 +49,17 @@ class Bridge(QueuedSink[Any]):
     Its queue has a thread, and so has the connection, which is kept open. While the peer is away, events wait
     for STALE_S and frames are dropped. Other pads' events are ignored.
     frames_hz: at most this many frames a second for each pad; math.inf: all frames; None: none.
-    where: the peer's address, for the log. retry_s: pause before each attempt to connect again.
+    where: the peer's address, for the log.
     limit: of what the peer may send over the present connection.
     """
 
-    def __init__(
-        self, name: str, pads: Sequence[str], frames_hz: float | None, where: str, retry_s: float = RETRY_S
-    ) -> None:
+    # Pause before each attempt to connect again.
+    retry_s = 1.0
+
+    def __init__(self, name: str, pads: Sequence[str], frames_hz: float | None, where: str) -> None:
         self.frames_hz = frames_hz
         self.limit = PeerLimit()
         self._where = where
-        self.retry_s = retry_s
         self._next_frame_s = dict.fromkeys(pads, 0.0)
         self._peer_is_there, self._was_there = threading.Event(), False
         self._ending = threading.Event()

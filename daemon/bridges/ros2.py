@@ -7,6 +7,7 @@ import logging
 import socket
 import time
 from dataclasses import dataclass
+from typing import Any
 
 from cyclonedds.core import DDSException
 from cyclonedds.domain import DomainParticipant
@@ -18,13 +19,12 @@ from cyclonedds.qos import Policy, Qos
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
-from touchd.daemon.bridges.bridge import BridgeError, arrival_s
+from touchd.daemon.bridges.bridge import IMAGE, BridgeError, arrival_s
 from touchd.daemon.path.events import Event, Prediction, encode
 from touchd.drivers.faults import FaultLog
-from touchd.drivers.frame import COLUMNS, ROWS, Frame
+from touchd.drivers.frame import Frame
 from touchd.drivers.hosts import own_addresses
 
-BYTES_PER_TAXEL = 2
 # Interval of checks whether the network has changed.
 LOOK_S = 5.0
 
@@ -80,15 +80,9 @@ class Image(IdlStruct, typename="sensor_msgs::msg::dds_::Image_"):
 def image(frame: Frame, pad: str) -> Image:
     """Return a frame as a mono16 picture, stamped with its time of arrival."""
     seconds, nanoseconds = divmod(round(arrival_s(frame) * 1e9), 1_000_000_000)
-    return Image(
-        header=Header(Time(seconds, nanoseconds), pad),
-        height=ROWS,
-        width=COLUMNS,
-        encoding="mono16",
-        is_bigendian=0,
-        step=COLUMNS * BYTES_PER_TAXEL,
-        data=frame.pressure.astype("<u2").tobytes(),  # type: ignore[arg-type]
-    )
+    header = Header(Time(seconds, nanoseconds), pad)
+    pixels: Any = frame.pressure.astype("<u2").tobytes()
+    return Image(header=header, **IMAGE, data=pixels)
 
 
 class Ros2Outlet:

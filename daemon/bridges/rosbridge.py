@@ -3,7 +3,7 @@
 import base64
 import logging
 import socket
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
@@ -11,11 +11,11 @@ import msgspec
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
-from touchd.daemon.bridges.bridge import POLL_S, Bridge, PeerLimit
+from touchd.daemon.bridges.bridge import IMAGE, POLL_S, Bridge, PeerLimit
 from touchd.daemon.bridges.settings import RosbridgeSettings
 from touchd.daemon.path.events import Event, Prediction, encode
 from touchd.drivers import hosts
-from touchd.drivers.frame import COLUMNS, ROWS, Frame
+from touchd.drivers.frame import Frame
 
 CONNECT_S = 3.0
 CONNECTION: Mapping[str, Any] = {
@@ -26,8 +26,8 @@ CONNECTION: Mapping[str, Any] = {
     "compression": None,
     "proxy": None,
 }
-# Message types as both ROS 1 and ROS 2 servers accept them.
-STRING, IMAGE = "std_msgs/String", "sensor_msgs/Image"
+# The topics and their types, as both ROS 1 and ROS 2 servers accept them.
+TOPICS = {"gesture": "std_msgs/String", "event": "std_msgs/String", "pressure": "sensor_msgs/Image"}
 
 
 class RosbridgeBridge(Bridge):
@@ -51,7 +51,7 @@ class RosbridgeBridge(Bridge):
             with connect(url, sock=line, **CONNECTION) as connection:
                 _limit(connection, limit)
                 self._connection = connection
-                for name, kind in (("gesture", STRING), ("event", STRING), ("pressure", IMAGE)):
+                for name, kind in TOPICS.items():
                     topic = f"{self._prefix}/{name}"
                     advertised = {"op": "advertise", "id": self._id, "topic": topic, "type": kind}
                     connection.send(msgspec.json.encode(advertised).decode())
@@ -66,12 +66,13 @@ class RosbridgeBridge(Bridge):
         return reason.replace(url, self._settings.shown_url)
 
     def send_event(self, event: Event) -> bool:
-        connection, messages = self._connection, [self._publish("event", {"data": encode(event).decode()})]
-        if isinstance(event, Prediction) and event.told:
-            messages.insert(0, self._publish("gesture", {"data": event.gesture}))
-        if connection is None or not self._send(connection, messages):
+        connection = self._connection
+        if connection is None:
             return False
         try:
+            if isinstance(event, Prediction) and event.told:
+                self._publish(connection, "gesture", {"data": event.gesture})
+            self._publish(connection, "event", {"data": encode(event).decode()})
             # A server confirms no message. Its answer to a ping says that it has read what came before.
             pong = connection.ping()
         except WebSocketException:
@@ -83,7 +84,11 @@ class RosbridgeBridge(Bridge):
 
     def send_frame(self, frame: Frame, pad: str) -> None:
         if self._connection is not None:
-            self._send(self._connection, [self._publish("pressure", _image(frame, pad))])
+            pixels = base64.b64encode(frame.pressure.astype("<u2").tobytes()).decode()
+            # The server fills in the header's time.
+            image = {"header": {"frame_id": pad}, **IMAGE, "data": pixels}
+            with suppress(WebSocketException):
+                self._publish(self._connection, "pressure", image)
 
     def hang_up(self) -> None:
         if self._connection is not None:
@@ -97,32 +102,10 @@ class RosbridgeBridge(Bridge):
             if status.level == "error":
                 self.note_refused(str(status.msg))
 
-    def _send(self, connection: ClientConnection, messages: Sequence[str]) -> bool:
-        try:
-            for message in messages:
-                connection.send(message)
-        except (OSError, WebSocketException):
-            # The keeper's thread notices that, and connects again.
-            connection.close()
-            return False
-        return True
-
-    def _publish(self, name: str, message: dict[str, Any]) -> str:
+    def _publish(self, connection: ClientConnection, name: str, message: dict[str, Any]) -> None:
+        """Send a message; a failure closes the connection and raises WebSocketException."""
         operation = {"op": "publish", "topic": f"{self._prefix}/{name}", "msg": message}
-        return msgspec.json.encode(operation).decode()
-
-
-def _image(frame: Frame, pad: str) -> dict[str, Any]:
-    # The server fills in the header's time.
-    return {
-        "header": {"frame_id": pad},
-        "height": ROWS,
-        "width": COLUMNS,
-        "encoding": "mono16",
-        "is_bigendian": 0,
-        "step": 2 * COLUMNS,
-        "data": base64.b64encode(frame.pressure.astype("<u2").tobytes()).decode(),
-    }
+        connection.send(msgspec.json.encode(operation).decode())
 
 
 class _Status(msgspec.Struct, tag_field="op", tag="status"):
