@@ -105,8 +105,14 @@ class MqttBridge(Bridge):
 
     def send_frame(self, frame: Frame, pad: str) -> None:
         client = self._client
-        if client is None or not client.send_soon(f"{self._topic}/pressure", _pressure(frame)):
+        # paho's own queue has no limit.
+        if client is None or len(client._out_packet) >= MOST_FRAMES:
             self._items.dropped += 1
+            return
+        when = {"time": timestamp(arrival_s(frame)), "sensor_ms": frame.sensor_ms}
+        client.publish(
+            f"{self._topic}/pressure", msgspec.json.encode(when | {"pressure": frame.pressure.tolist()})
+        )
 
     def close(self) -> None:
         if self._peer_is_there.is_set() and (client := self._client):
@@ -173,10 +179,9 @@ class MqttBridge(Bridge):
             file = settings.ca_file
             try:
                 tls = ssl.create_default_context(cafile=str(written_out(file)) if file else None)
-            except (OSError, ssl.SSLError) as error:
-                raise BridgeError(
-                    f"mqtt.ca_file: {file} cannot be used ({error}); give a file of PEM"
-                ) from error
+            except OSError as error:
+                why = f"mqtt.ca_file: {file} cannot be used ({error}); give a file of PEM"
+                raise BridgeError(why) from error
             client.tls_set_context(tls)
 
 
@@ -206,13 +211,6 @@ class _Client(mqtt.Client):
         self.topics[info.mid] = topic
         return info
 
-    def send_soon(self, topic: str, payload: bytes) -> bool:
-        """Publish with QoS 0, unless much waits to be written; paho's own queue has no limit."""
-        if len(self._out_packet) >= MOST_FRAMES:
-            return False
-        self.publish(topic, payload)
-        return True
-
     def _create_socket_connection(self) -> socket.socket:
         return hosts.connect(self.host, self.port, CONNECT_S, self._stopping)
 
@@ -220,15 +218,14 @@ class _Client(mqtt.Client):
         # paho would buffer a message of 256 MiB, and hold every message of QoS 2 until it is released.
         data: bytes = super()._sock_recv(bufsize)
         if not self._limit.take(len(data)):
+            self.why = "it sends more than touchd asks for"
             raise ConnectionAbortedError
         return data
 
     def _on_end(
         self, _client: Any, _data: Any, flags: Any, code: ReasonCode, properties: Properties | None
     ) -> None:
-        if self._limit.is_exceeded:
-            self.why = "it sends more than touchd asks for"
-        elif flags.is_disconnect_packet_from_server or code.getName() == "Keep alive timeout":
+        if flags.is_disconnect_packet_from_server or code.getName() == "Keep alive timeout":
             self.why = _words(code, properties)
 
 
@@ -259,8 +256,3 @@ def announcements(discovery: str, topic: str, labels: Sequence[str]) -> dict[str
         f"{discovery}/event/{name}/config": msgspec.json.encode(gestures | common),
         f"{discovery}/binary_sensor/{name}_touched/config": msgspec.json.encode(touched | common),
     }
-
-
-def _pressure(frame: Frame) -> bytes:
-    fields = {"time": timestamp(arrival_s(frame)), "sensor_ms": frame.sensor_ms}
-    return msgspec.json.encode(fields | {"pressure": frame.pressure.tolist()})
