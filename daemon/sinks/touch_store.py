@@ -64,13 +64,15 @@ class EndedTouch:
         or taken for the pad's rest.
         """
         assert self.ended.sensor_ms is not None, "the touch had a last contact"
-        rest = self._frames_before(self.began.sensor_ms - LEAD_MS)
-        first = self._frames_before(self.began.sensor_ms)
-        stop = max(first + 1, self._frames_before(self.ended.sensor_ms + 1))
+        clock = clock_ms(self.frames)
+        first_ms, last_ms = (
+            clock[0] + _ms_since(self.frames[0], ms) for ms in (self.began.sensor_ms, self.ended.sensor_ms)
+        )
+        rest, first, stop = np.searchsorted(clock, (first_ms - LEAD_MS, first_ms, last_ms + 1))
+        stop = max(first + 1, stop)
         end = len(self.frames) if self.ended.reason == "released" else stop
         tags = {} if self.began.tags is UNSET else self.began.tags
         participant, substrate, cover = (tags.get(key, UNLABELLED) for key in KEYS[:3])
-        clock = clock_ms(self.frames)
         recordings = []
         for gesture, piece in (
             (NO_TOUCH, slice(rest, first)),
@@ -83,10 +85,6 @@ class EndedTouch:
                     Recording(participant, substrate, cover, gesture, counts, clock[piece], "live")
                 )
         return recordings
-
-    def _frames_before(self, sensor_ms: int) -> int:
-        """Return how many frames came before this time of the sensor's clock."""
-        return sum(not _is_from(sensor_ms, frame) for frame in self.frames)
 
 
 @dataclass(frozen=True, order=True)
@@ -216,7 +214,7 @@ def labels_in(folder: Path) -> dict[str, str]:
 
 
 class TouchSink(QueuedSink[EndedTouch]):
-    """A sink that keeps the frames of touches on pads that have a store; it ignores other pads.
+    """A sink that keeps the frames of touches. stores: one for each pad.
 
     Frames and the events that they cause must come from one thread, a frame before its events. Labels may
     come from any thread, also before their touch has ended.
@@ -230,18 +228,17 @@ class TouchSink(QueuedSink[EndedTouch]):
         self._pads: defaultdict[str, _PadFrames] = defaultdict(_PadFrames)
 
     def put_frame(self, frame: Frame, pad: str = DEFAULT_PAD) -> None:
-        if pad in self._stores:
-            self._pads[pad].take(frame)
+        self._pads[pad].take(frame)
 
     def put(self, item: Event | EndedTouch) -> None:
         """Note that a touch began or has a label, or queue an ended touch for writing; returns at once."""
         match item:
-            case TouchBegan() if item.pad in self._pads:
+            case TouchBegan():
                 self._pads[item.pad].begin(item)
-            case TouchEnded(sensor_ms=int(last_ms)) if item.pad in self._pads:
+            case TouchEnded(sensor_ms=int(last_ms)):
                 if (touch := self._pads[item.pad].end(item, last_ms)) is not None:
                     super().put(touch)
-            case Label() if item.pad in self._stores:
+            case Label():
                 self._stores[item.pad].label(item)
             case SensorEvent(state="down"):
                 # The next frames are another pad's, or its clock restarted.
@@ -261,11 +258,11 @@ class _PadFrames:
         self._is_cut = False
 
     def take(self, frame: Frame) -> None:
-        if self._recent and _ms_between(self._recent[-1], frame) > CUT_MS:
+        if self._recent and not 0 <= _ms_since(self._recent[-1], frame.sensor_ms) <= CUT_MS:
             self._recent.clear()
             self._is_cut = True
         self._recent.append(frame)
-        while _ms_between(self._recent[0], frame) > RECENT_MS:
+        while _ms_since(self._recent[0], frame.sensor_ms) > RECENT_MS:
             self._recent.popleft()
         if self._began is not None and not self._is_cut and len(self._frames) < LONGEST_FRAMES:
             self._frames.append(frame)
@@ -278,19 +275,14 @@ class _PadFrames:
         began, frames = self._began, tuple(self._frames)
         self._began, self._frames = None, []
         # They are no rest before the next touch.
-        while self._recent and not _is_from(last_ms + 1, self._recent[0]):
+        while self._recent and _ms_since(self._recent[0], last_ms) >= 0:
             self._recent.popleft()
         return EndedTouch(began, event, frames) if began and frames else None
 
 
-def _is_from(sensor_ms: int, frame: Frame) -> bool:
-    """Whether a frame came at this time of the sensor's clock, which wraps, or later."""
-    return (frame.sensor_ms - sensor_ms) % CLOCK_MODULUS < HALF_CLOCK
-
-
-def _ms_between(earlier: Frame, later: Frame) -> int:
-    """Return the time from one frame to another, on a clock that wraps."""
-    return (later.sensor_ms - earlier.sensor_ms) % CLOCK_MODULUS
+def _ms_since(frame: Frame, sensor_ms: int) -> int:
+    """Return how long after a frame the clock, which wraps, shows this; negative if that was before it."""
+    return (sensor_ms - frame.sensor_ms + HALF_CLOCK) % CLOCK_MODULUS - HALF_CLOCK
 
 
 def keep_touches(settings: Settings) -> TouchSink:

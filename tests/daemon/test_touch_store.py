@@ -44,8 +44,8 @@ def store(tmp_path: Path) -> TouchStore:
 
 
 @contextmanager
-def sinking(store: TouchStore) -> Iterator[TouchSink]:
-    sink = TouchSink({"pad": store})
+def sinking(*stores: TouchStore) -> Iterator[TouchSink]:
+    sink = TouchSink(dict(zip(("pad", "other"), stores, strict=False)))
     sink.start()
     yield sink
     sink.stop(WITHIN_S)
@@ -327,17 +327,18 @@ def test_a_folder_that_is_missing_holds_no_touches(tmp_path: Path) -> None:
     assert kept_touches(tmp_path) == []
 
 
-def test_other_pads_and_forgotten_frames_are_not_kept(store: TouchStore, tmp_path: Path) -> None:
+def test_each_pads_touches_are_kept_without_forgotten_frames(store: TouchStore, tmp_path: Path) -> None:
     touch, change = ended_touch(1), msgspec.structs.replace
-    with sinking(store) as sink:
+    other = TouchStore(tmp_path / "other", 20, "another pad")
+    with sinking(store, other) as sink:
         for pad in ("pad", "other"):
             for frame in touch.frames:
                 sink.put_frame(frame, pad)
         for event in (
-            change(touch.began, pad="other"),
-            change(touch.ended, pad="other"),
-            said(1, "pat", "other"),
+            change(touch.began, pad="other", touch=7),
             touch.began,
+            change(touch.ended, pad="other", touch=7),
+            said(1, "pat", "other"),
             SensorEvent(state="degraded", time=""),
             SensorEvent(state="down", time="", pad="other"),
             touch.ended,
@@ -347,6 +348,7 @@ def test_other_pads_and_forgotten_frames_are_not_kept(store: TouchStore, tmp_pat
         ):
             sink.put(event)
     assert [kept.number for kept in kept_touches(tmp_path / "touches")] == [1]
+    assert [kept.number for kept in kept_touches(tmp_path / "other")] == [7]
 
 
 @pytest.mark.parametrize("name", ["2026-11-20T10-00-00.000Z-1-1.csv.gz", f"{PARTIAL}x"])
