@@ -10,7 +10,7 @@ from websockets.asyncio.server import ServerConnection
 from touchd.daemon.live.address import ip_of, name_in
 from touchd.daemon.live.memory import Memory
 from touchd.daemon.path.events import Count
-from touchd.daemon.sinks.labels import LabelError, Labeller
+from touchd.daemon.sinks.labels import Labeller
 
 # A web server in front of the page hides where a viewer is; it adds one of these.
 FORWARDED = ("Forwarded", "X-Forwarded-For", "X-Real-IP", "Via")
@@ -40,10 +40,9 @@ def take_label(
     touch = pads[said.pad].find(said.touch) if said.pad in pads else None
     if touch is None:
         return "no such touch"
-    try:
-        labeller.label(touch, said.gesture)
-    except LabelError:
+    if said.gesture not in labeller.gestures[said.pad]:
         return "no such gesture"
+    labeller.label(touch, said.gesture)
     return ""
 
 

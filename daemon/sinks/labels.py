@@ -5,7 +5,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 
 from touchd.daemon.path.events import Event, Label, TouchBegan, timestamp
-from touchd.drivers.errors import TouchdError
 from touchd.drivers.faults import FaultLog
 from touchd.drivers.frame import NO_TOUCH, OTHER
 
@@ -14,10 +13,6 @@ log = logging.getLogger(__name__)
 # The key of each gesture but notouch, in order.
 KEYS = "123456789abcdefghijklmnopqrstuvwxyz"
 NO_TOUCH_KEY = "0"
-
-
-class LabelError(TouchdError):
-    """A label cannot be taken; the message is one line that says why."""
 
 
 class Labeller:
@@ -36,10 +31,7 @@ class Labeller:
         self._faults = FaultLog(log)
 
     def label(self, touch: TouchBegan, gesture: str) -> None:
-        """Emit a label; raises LabelError if the pad has no such gesture."""
-        known = self.gestures[touch.pad]
-        if gesture not in known:
-            raise LabelError(f"{gesture}: not a gesture of this pad's model; it knows {', '.join(known)}")
+        """Emit a label. gesture: one of the touch's pad."""
         now = timestamp(time.time())
         self._emit(Label(touch=touch.touch, began=touch.time, gesture=gesture, time=now, pad=touch.pad))
         if not self._are_kept:

@@ -15,7 +15,7 @@ from rigs.terminal import Terminal
 from rigs.wait import WITHIN_S, wait_for
 
 from touchd.daemon.path.events import Event, Label, encode
-from touchd.daemon.sinks.labels import LabelError, Labeller, keys_of
+from touchd.daemon.sinks.labels import Labeller, keys_of
 from touchd.daemon.sinks.touch_store import folder_of, kept_touches, labels_in
 from touchd.daemon.sinks.touches import decode
 
@@ -29,14 +29,6 @@ def test_a_label_is_an_event_like_any_other() -> None:
     assert isinstance(label, Label)
     assert (label.pad, label.touch, label.began, label.gesture) == ("left", 7, touch(7).time, "pat")
     assert decode(encode(label)) == label
-
-
-@pytest.mark.parametrize("gesture", ["hug", ""])
-def test_a_label_of_something_unknown_is_refused(gesture: str) -> None:
-    events: list[Event] = []
-    with pytest.raises(LabelError):
-        Labeller(events.append, {"pad": GESTURES}, are_kept=True).label(touch(7), gesture)
-    assert events == []
 
 
 def test_the_gestures_keys_do_not_depend_on_other() -> None:
