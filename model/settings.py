@@ -4,8 +4,6 @@ import msgspec
 
 LENGTHS = (54, 81, 144)
 """The window lengths, in frames, at which touches are answered: 1, 1.5 and 2.67 s."""
-MAX_LENGTH = 432
-"""The longest window, in frames, that an exported file takes."""
 
 
 class NetworkSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

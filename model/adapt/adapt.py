@@ -21,7 +21,6 @@ from touchd.model.classifier import SHIPPED_MODEL, Classifier
 from touchd.model.settings import AugmentationSettings, NetworkSettings
 from touchd.model.tgc import TGC
 
-TEMPERATURES = np.geomspace(0.3, 5.0, 200)
 # How much more `other` is rehearsed if nobody recorded it. After three people and a gesture of their own,
 # 41 % of others' touches that are none are still refused (44 before); without it 21 %.
 MORE_OTHER = 2

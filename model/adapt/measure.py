@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import log_softmax, stdtrit
+from scipy.special import stdtrit
 
 from touchd.drivers.recording import Recording
 from touchd.model.adapt.passing import IN_PASSING
@@ -139,11 +139,6 @@ def _macro(scored: Sequence[Scored], when: Literal["before", "after"]) -> float:
     """Return the mean over gestures of the recordings' shares."""
     by_gesture = _by(scored, "gesture").values()
     return float(np.mean([np.mean([getattr(each, when) for each in own]) for own in by_gesture]))
-
-
-def cross_entropy(logits: Floats, labels: NDArray[np.int64]) -> float:
-    """Return the mean negative log likelihood of the true classes (N,) under logits (N, classes)."""
-    return float(-log_softmax(logits, axis=1)[np.arange(len(labels)), labels].mean())
 
 
 def mean_interval(values: Floats) -> tuple[float, float] | None:

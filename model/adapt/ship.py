@@ -6,10 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import msgspec
-import numpy as np
 import onnx
-import torch
-from torch import Tensor, nn
+from torch import nn
 
 from touchd.drivers.errors import os_errors_as
 from touchd.drivers.whole_file import whole_file
@@ -79,10 +77,3 @@ def grafted(model: Path, head: nn.Sequential, metadata: ModelMetadata) -> onnx.M
     entry.value = msgspec.json.encode(metadata).decode()
     onnx.checker.check_model(proto)
     return proto
-
-
-def by_frames(temperatures: Mapping[int, float]) -> Tensor:
-    """Interpolate a temperature for each number of frames from 1 to the last calibrated length."""
-    lengths = sorted(temperatures)
-    values = [temperatures[length] for length in lengths]
-    return torch.from_numpy(np.interp(np.arange(1, lengths[-1] + 1), lengths, values).astype(np.float32))

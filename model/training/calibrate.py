@@ -9,11 +9,10 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.special import log_softmax
 
 from touchd.drivers.frame import NO_TOUCH, OTHER
 from touchd.drivers.recording import Recording
-from touchd.model.adapt.adapt import TEMPERATURES
-from touchd.model.adapt.measure import cross_entropy
 from touchd.model.settings import LENGTHS
 from touchd.model.tgc import TGC
 from touchd.model.training import haart, metrics
@@ -23,6 +22,7 @@ from touchd.model.training.studies import MISSING, study_of
 
 BATCH = 64
 IMPOSSIBLE = -1e4
+TEMPERATURES = np.geomspace(0.3, 5.0, 200)
 
 
 Answers = Mapping[int, tuple[Floats, Labels]]
@@ -103,7 +103,12 @@ def accuracies(answers: Sequence[Answers]) -> dict[str, float]:
 
 def fit_temperature(logits: Floats, labels: Labels) -> float:
     """Return the temperature from TEMPERATURES with the least negative log likelihood."""
-    return float(min(TEMPERATURES, key=lambda temperature: cross_entropy(logits / temperature, labels)))
+
+    def cross_entropy(temperature: float) -> float:
+        likelihoods = log_softmax(logits / temperature, axis=1)[np.arange(len(labels)), labels]
+        return -float(likelihoods.mean())
+
+    return float(min(TEMPERATURES, key=cross_entropy))
 
 
 def _logits(network: TGC, counts: NDArray[np.uint16] | NDArray[np.float32]) -> Floats:

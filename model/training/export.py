@@ -4,12 +4,12 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import onnx
 import torch
 from torch import Tensor, nn
 
 from touchd.drivers.frame import COLUMNS, ROWS
-from touchd.model.adapt.ship import by_frames
 from touchd.model.classifier import METADATA_KEY, ModelMetadata
 from touchd.model.tgc import TGC
 from touchd.model.training.stepwise import TGCState, initial_state, step
@@ -29,7 +29,10 @@ class CalibratedTGC(nn.Module):
     def __init__(self, network: TGC, temperatures: Mapping[int, float]) -> None:
         super().__init__()
         self.network = network
-        self.register_buffer("temperatures", by_frames(temperatures))
+        lengths = sorted(temperatures)
+        values = [temperatures[length] for length in lengths]
+        by_frames = np.interp(np.arange(1, lengths[-1] + 1), lengths, values).astype(np.float32)
+        self.register_buffer("temperatures", torch.from_numpy(by_frames))
 
     def forward(self, counts: Tensor) -> Tensor:
         """Return (B, classes) probabilities."""

@@ -16,7 +16,7 @@ from touchd.drivers.recording import Recording
 from touchd.model.adapt.backbone import crops, split
 from touchd.model.adapt.remembered import Remembered
 from touchd.model.classifier import SHIPPED_MODEL, ModelMetadata, digest_file, digest_of
-from touchd.model.settings import LENGTHS, MAX_LENGTH
+from touchd.model.settings import LENGTHS
 from touchd.model.training import calibrate, checkpoint, haart, unknown
 from touchd.model.training.checkpoint import Checkpoint
 from touchd.model.training.export import export
@@ -29,6 +29,8 @@ from touchd.model.training.studies import Folders
 from touchd.model.training.train import CHECKPOINT_NAME, fastest_device, train
 from touchd.model.training.weights import FABRIC_MODEL, LEFT_OUT_FOLDER, SEEDS_FOLDER, fold_path
 
+MAX_LENGTH = 432
+"""The longest window, in frames, that an exported file takes."""
 REMEMBERED_CROPS = 3
 """Crops of each recording that the rehearsal statistics are computed from."""
 REMEMBERED_MADE = 96
