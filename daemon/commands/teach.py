@@ -47,10 +47,12 @@ def main(options: argparse.Namespace) -> int:
     found = settings_of(options)
     # If torch is missing, fail before recording, not after.
     with Console(stderr=True).status("loading torch"):
+        import torch  # noqa: F401
+
+        from touchd.model.adapt.adapt import adapt_folder
         from touchd.model.adapt.folder import files_of, read_file
         from touchd.model.adapt.output import check_output
         from touchd.model.adapt.report import is_better, report_lines
-        from touchd.model.adapt.ship import adapt_folder
 
     console = Console(width=text_width(), highlight=False, markup=False)
     prepare(options.folder)

@@ -48,8 +48,8 @@ def main(options: argparse.Namespace) -> int:
     with Console(stderr=True).status("loading torch"):
         import torch  # noqa: F401
 
+        from touchd.model.adapt.adapt import adapt_folder
         from touchd.model.adapt.report import report_lines
-        from touchd.model.adapt.ship import adapt_folder
 
     adapted = adapt_folder(options.extra, output, options.keep_all, labels)
     for line in report_lines(adapted):

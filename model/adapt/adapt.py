@@ -1,26 +1,36 @@
-"""Adapts the shipped network to a lab's recordings, with held-out accuracy before and after."""
+"""Adapts the shipped network to a lab's recordings and writes it as a model file of its own.
 
+Accuracy on recordings that were held out is measured before and after.
+"""
+
+import hashlib
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import msgspec
 import numpy as np
+import onnx
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 from tqdm import tqdm
 
+from touchd.drivers.errors import os_errors_as
 from touchd.drivers.frame import NO_TOUCH, OTHER
 from touchd.drivers.recording import Recording
-from touchd.model.adapt.backbone import CropFeatures, WindowFeatures, crops, split, windows
+from touchd.drivers.whole_file import whole_file
+from touchd.model.adapt.backbone import CropFeatures, Remembered, WindowFeatures, crops, split, windows
+from touchd.model.adapt.folder import NO_LABELS, read_all
 from touchd.model.adapt.head import AdaptSettings, fit, rebuilt
 from touchd.model.adapt.measure import Comparison, Fold, Scored, compare, plan
-from touchd.model.adapt.remembered import Remembered
-from touchd.model.classifier import SHIPPED_MODEL, Classifier
+from touchd.model.adapt.optimise import one_torch_thread
+from touchd.model.adapt.output import OutputError, check_output, code_version, data_hash, model_name
+from touchd.model.classifier import METADATA_KEY, SHIPPED_MODEL, Classifier, ModelMetadata
 from touchd.model.settings import AugmentationSettings, NetworkSettings
 from touchd.model.tgc import TGC
 
+SETTINGS = AdaptSettings()
 # How much more `other` is rehearsed if nobody recorded it. After three people and a gesture of their own,
 # 41 % of others' touches that are none are still refused (44 before); without it 21 %.
 MORE_OTHER = 2
@@ -75,6 +85,24 @@ class Adapted:
     head: nn.Sequential
     comparison: Comparison
     passed_over: Mapping[str, int] = field(default_factory=dict)
+
+
+def adapt_folder(
+    extra: Path, output: Path, keep_all: bool = False, labels: Mapping[str, str] = NO_LABELS
+) -> Adapted:
+    """Adapt the shipped network to a folder of recordings and write it to `output`, a new .onnx file.
+
+    keep_all: keep the known gestures that the folder lacks. labels: see `read_all`. Raises
+    ExtraError; raises OutputError before any work if `output` cannot be written.
+    """
+    check_output(output)
+    pretrained = Pretrained.shipped()
+    recordings, passed_over = read_all(extra, pretrained.labels, keep_all, labels)
+    # One thread makes sums reproducible; a head is too small for more.
+    with one_torch_thread():
+        adapted = adapt(pretrained, recordings, SETTINGS, keep_all)
+    write(adapted, output)
+    return replace(adapted, passed_over=passed_over)
 
 
 def adapt(
@@ -134,3 +162,43 @@ def logits(head: nn.Sequential, evaluated: WindowFeatures) -> NDArray[np.float64
     """Return a head's logits (W, labels) for windows."""
     array: NDArray[np.float64] = head(evaluated.values).numpy().astype(np.float64)
     return array
+
+
+def write(adapted: Adapted, output: Path) -> None:
+    """Atomically write the model with its metadata and scores; raises OutputError."""
+    shipped = Classifier.load().metadata
+    origin = {
+        "from_sha256": hashlib.sha256(SHIPPED_MODEL.read_bytes()).hexdigest(),
+        "settings": msgspec.to_builtins(SETTINGS),
+        "participants": len({recording.participant for recording in adapted.recordings}),
+        "recordings": len(adapted.recordings),
+    }
+    metadata = msgspec.structs.replace(
+        shipped,
+        name=model_name(output),
+        labels=adapted.labels,
+        training={**shipped.training, "adapted": origin},
+        code_version=code_version(),
+        data_sha256=data_hash(adapted.recordings),
+        scores={"adapted": msgspec.to_builtins(adapted.comparison)},
+    )
+    proto = grafted(SHIPPED_MODEL, adapted.head, metadata)
+    with (
+        os_errors_as(OutputError, f"{output}: cannot be written"),
+        whole_file(output, replace=False) as partial,
+    ):
+        onnx.save(proto, partial)
+
+
+def grafted(model: Path, head: nn.Sequential, metadata: ModelMetadata) -> onnx.ModelProto:
+    """Return a copy of a model file with an adapted head, which keeps the file's temperatures."""
+    proto = onnx.load(model)
+    values = {f"calibrated.network.dense.{name}": value for name, value in head.state_dict().items()}
+    tensors = {tensor.name: tensor for tensor in proto.graph.initializer}
+    for name, value in values.items():
+        tensors[name].CopyFrom(onnx.numpy_helper.from_array(value.numpy(), name))
+    proto.graph.output[0].type.tensor_type.shape.dim[1].dim_value = len(metadata.labels)
+    (entry,) = (entry for entry in proto.metadata_props if entry.key == METADATA_KEY)
+    entry.value = msgspec.json.encode(metadata).decode()
+    onnx.checker.check_model(proto)
+    return proto

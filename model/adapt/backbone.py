@@ -5,8 +5,9 @@ through the backbone once, however many heads are trained on it.
 """
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TypeAlias
 
 import msgspec
@@ -25,6 +26,9 @@ from touchd.model.tgc import TGC
 
 LEARNT_LENGTHS = (54, 81, 108, 144)
 BATCH = 64
+# What is drawn of each remembered Gaussian, and the names of its arrays in a file.
+SAMPLES = 128
+ARRAYS = ("means", "directions", "rests")
 # A recording shorter than a crop is used from its start, at its own pace; its last frame is repeated.
 AS_IT_IS = {"published_framing": 0.0, "change_pace": 0.0, "onset": 0.0}
 # The tracker dates a touch up to three frames too early or two too late.
@@ -52,6 +56,42 @@ class CropFeatures:
     def of(self, recordings: Sequence[int]) -> "CropFeatures":
         chosen, gestures = list(recordings), tuple(self.gestures[i] for i in recordings)
         return CropFeatures(self.values[chosen], self.within[chosen], gestures)
+
+
+@dataclass(frozen=True, eq=False)
+class Remembered:
+    """Gaussians of what the backbone made of its training recordings; samples of them stand for other people.
+
+    A head that is adapted to one person forgets the others, whose recordings are then not needed (generative
+    feature replay, Liu et al. 2020). There is one Gaussian for each study, gesture and length (N, L): its
+    principal axes and each feature's residual.
+    means, rests: (N, L, features); rests are residual standard deviations. directions: (N, L, R, features),
+    each scaled by its standard deviation. gestures: (N,) names.
+    """
+
+    means: Tensor
+    directions: Tensor
+    rests: Tensor
+    gestures: tuple[str, ...]
+
+    def samples(self, gestures: Iterable[str], seed: int) -> CropFeatures:
+        """Draw SAMPLES summaries from each study's Gaussian for each of these gestures."""
+        rng = torch.Generator().manual_seed(seed)
+        chosen = [i for wanted in gestures for i, own in enumerate(self.gestures) if own == wanted]
+        N, L, R, F = self.directions[chosen].shape
+        along = torch.randn(N, SAMPLES, L, R, generator=rng)
+        values = torch.einsum("nslr,nlrf->nslf", along, self.directions[chosen])
+        values = values + self.rests[chosen].unsqueeze(1) * torch.randn(N, SAMPLES, L, F, generator=rng)
+        values = values + self.means[chosen].unsqueeze(1)
+        names = tuple(self.gestures[i] for i in chosen)
+        return CropFeatures(values, torch.ones(N, L, dtype=torch.bool), names)
+
+    @classmethod
+    def load(cls, path: Path) -> "Remembered":
+        """Read them from an .npz file."""
+        with np.load(path) as stored:
+            means, directions, rests = (torch.from_numpy(stored[name].astype(np.float32)) for name in ARRAYS)
+            return cls(means, directions, rests, tuple(stored["gestures"].tolist()))
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,8 +7,7 @@ import numpy as np
 import torch
 
 from touchd.drivers.whole_file import whole_file
-from touchd.model.adapt.backbone import CropFeatures
-from touchd.model.adapt.remembered import ARRAYS, Remembered
+from touchd.model.adapt.backbone import ARRAYS, CropFeatures, Remembered
 
 DIRECTIONS = 16
 

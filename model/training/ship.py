@@ -13,8 +13,7 @@ import torch
 
 from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH, OTHER
 from touchd.drivers.recording import Recording
-from touchd.model.adapt.backbone import crops, split
-from touchd.model.adapt.remembered import Remembered
+from touchd.model.adapt.backbone import Remembered, crops, split
 from touchd.model.classifier import SHIPPED_MODEL, ModelMetadata, digest_file, digest_of
 from touchd.model.settings import LENGTHS
 from touchd.model.training import calibrate, checkpoint, haart, unknown

@@ -27,9 +27,9 @@ from touchd.daemon.app.config import load
 from touchd.daemon.commands import teach
 from touchd.daemon.path.events import Label, encode
 from touchd.drivers.recording import Recording, ideal_clock_ms, write_recordings
-from touchd.model.adapt import ship
-from touchd.model.adapt.adapt import Adapted, Pretrained, adapt, logits
-from touchd.model.adapt.backbone import CropFeatures, crops, windows
+from touchd.model.adapt import adapt as adapting
+from touchd.model.adapt.adapt import Adapted, Pretrained, adapt, grafted, logits, write
+from touchd.model.adapt.backbone import CropFeatures, Remembered, crops, windows
 from touchd.model.adapt.folder import ExtraError, read_all
 from touchd.model.adapt.head import AdaptSettings, fit, rebuilt
 from touchd.model.adapt.measure import (
@@ -43,7 +43,6 @@ from touchd.model.adapt.measure import (
 )
 from touchd.model.adapt.output import model_name
 from touchd.model.adapt.passing import IN_PASSING, InPassing, joined
-from touchd.model.adapt.remembered import Remembered
 from touchd.model.adapt.report import is_better, report_lines
 from touchd.model.classifier import SHIPPED_MODEL, Classifier, Name
 from touchd.model.studies.checks.hard_cases import hand
@@ -131,7 +130,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     with pytest.MonkeyPatch.context() as patch:
         printed: list[str] = []
         patch.setattr("sys.stdout.write", printed.append)
-        patch.setattr(ship, "SETTINGS", SETTINGS)
+        patch.setattr(adapting, "SETTINGS", SETTINGS)
         assert cli.main(["train", "--extra", str(lab), "--output", str(output)]) == 0
     return output, "".join(printed)
 
@@ -235,7 +234,7 @@ def test_the_printed_settings_use_the_new_model(trained: tuple[Path, str]) -> No
 def test_the_same_recordings_and_seed_give_the_same_model(adapted: Adapted, adapted_file: Path) -> None:
     metadata = Classifier.load(adapted_file).metadata
     assert metadata.scores["adapted"] == msgspec.to_builtins(adapted.comparison)
-    again = ship.grafted(SHIPPED_MODEL, adapted.head, metadata)
+    again = grafted(SHIPPED_MODEL, adapted.head, metadata)
     assert again.graph == onnx.load(adapted_file).graph
 
 
@@ -243,7 +242,7 @@ def test_the_same_recordings_and_seed_give_the_same_model(adapted: Adapted, adap
 def test_the_file_answers_as_the_adapted_network_in_pytorch(
     pretrained: Pretrained, adapted: Adapted, tmp_path: Path
 ) -> None:
-    ship.write(adapted, tmp_path / "lab.onnx")
+    write(adapted, tmp_path / "lab.onnx")
     classifier = Classifier.load(tmp_path / "lab.onnx")
     network = TGC(pretrained.backbone.settings, len(adapted.labels))
     network.load_state_dict(pretrained.backbone.state_dict(), strict=False)
@@ -489,7 +488,7 @@ def test_train_counts_the_saved_touches_that_it_passes_over(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(Pretrained, "shipped", lambda: pretrained)
-    monkeypatch.setattr(ship, "SETTINGS", HARDLY)
+    monkeypatch.setattr(adapting, "SETTINGS", HARDLY)
     nobody = unlabelled(passing("rub", 30, 5))
     names = [("pat", 12, 0), ("stroke", 40, 1), ("pat", 15, 2), ("stroke", 30, 3)]
     cut_short = passing("pat", 20, 4, after=0)
