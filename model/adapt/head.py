@@ -14,6 +14,7 @@ import msgspec
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
+from torch.nn.utils import clip_grad_norm_, parameters_to_vector, vector_to_parameters
 
 from touchd.model.adapt.backbone import CropFeatures
 from touchd.model.adapt.optimise import GRADIENT_LIMIT, learning_rate_at
@@ -46,11 +47,10 @@ def rebuilt(head: nn.Sequential, known: Sequence[str], labels: Sequence[str]) ->
     """Return the head with one row per label; rows of new labels start as the mean of the known rows."""
     new = copy.deepcopy(head)
     last = cast(nn.Linear, new[-1])
-    rows = [known.index(label) if label in known else None for label in labels]
+    rows = [known.index(label) if label in known else len(known) for label in labels]
 
     def chosen(values: Tensor) -> nn.Parameter:
-        mean = values.detach().mean(dim=0)
-        return nn.Parameter(torch.stack([mean if row is None else values.detach()[row] for row in rows]))
+        return nn.Parameter(torch.cat([values, values.mean(dim=0, keepdim=True)]).detach()[rows])
 
     last.weight, last.bias, last.out_features = chosen(last.weight), chosen(last.bias), len(labels)
     return new
@@ -70,8 +70,8 @@ def fit(
     rehearsed: features of other people. Deterministic.
     """
     head = copy.deepcopy(start).train()
-    before = [weight.detach().clone() for weight in start.parameters()]
-    known = _known(start, torch.tensor([float(label not in new) for label in labels]))
+    before = parameters_to_vector(start.parameters()).detach()
+    known = _known(start, [label in new for label in labels])
     rng = torch.Generator().manual_seed(settings.seed)
     optimizer = torch.optim.AdamW(head.parameters(), weight_decay=0.0)
     from_rehearsed = int(settings.batch * settings.rehearsed)
@@ -81,18 +81,16 @@ def fit(
         for step in range(settings.steps):
             optimizer.param_groups[0]["lr"] = learning_rate_at(step, settings.steps, settings.learning_rate)
             parts = [_draw(crops, labels, count, rng) for crops, count in sources]
-            distance = sum(
-                (mask * (weight - was).square()).sum()
-                for mask, weight, was in zip(known, head.parameters(), before, strict=True)
-            )
+            distance = (known * (parameters_to_vector(head.parameters()) - before).square()).sum()
             loss = _loss(head, parts, settings) + settings.l2_sp * distance / len(shown.gestures)
             optimizer.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
-            torch.nn.utils.clip_grad_norm_(head.parameters(), GRADIENT_LIMIT)
+            clip_grad_norm_(head.parameters(), GRADIENT_LIMIT)
             optimizer.step()
     head.eval().requires_grad_(False)
-    for mask, weight, was in zip(known, head.parameters(), before, strict=True):
-        weight.copy_(torch.lerp(was, weight, 1.0 - (1.0 - settings.blend) * mask))
+    after = parameters_to_vector(head.parameters())
+    blended = torch.lerp(before, after, 1.0 - (1.0 - settings.blend) * known)
+    vector_to_parameters(blended, head.parameters())
     return head
 
 
@@ -103,10 +101,12 @@ def _loss(head: nn.Sequential, parts: Sequence[tuple[Tensor, ...]], settings: Ad
     return functional.cross_entropy(head(values), classes, ignore_index=UNASKED, label_smoothing=smoothing)
 
 
-def _known(head: nn.Sequential, is_known: Tensor) -> list[Tensor]:
-    """Return 1 for each of a head's parameters, and is_known (labels,) for the last layer's rows."""
-    *lower, weight, _bias = head.parameters()
-    return [*map(torch.ones_like, lower), is_known[:, None].expand_as(weight), is_known]
+def _known(head: nn.Sequential, is_new: list[bool]) -> Tensor:
+    """Return 1 for each of a head's weights, 0 for those of new gestures' rows in its last layer."""
+    masks = list(map(torch.ones_like, head.parameters()))
+    for last in masks[-2:]:
+        last[is_new] = 0.0
+    return parameters_to_vector(masks)
 
 
 def _draw(
