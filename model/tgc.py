@@ -212,24 +212,21 @@ class TGC(nn.Module):
         logits: Tensor = self.dense(self.summary(mean, variance, features.amax(dim=1)))
         return logits
 
-    def at_lengths(self, counts: Tensor, lengths: tuple[int, ...]) -> Tensor:
-        """Return (B, len(lengths), classes) logits, each over the first `length` frames, in one pass."""
-        return self.at_own_lengths(
-            counts, torch.tensor(lengths, device=counts.device).expand(len(counts), -1)
-        )
+    def at_lengths(self, counts: Tensor, lengths: Tensor) -> Tensor:
+        """Return (B, K, classes) logits, each over the first frames, as many as `lengths` says, in one pass.
 
-    def at_own_lengths(self, counts: Tensor, lengths: Tensor) -> Tensor:
-        """Return (B, K, classes) logits; lengths: (B, K), of each window its own."""
+        lengths: (B, K), of each window its own, or (1, K).
+        """
         # Sums over a touch need float32, also where the layers train in bfloat16.
         return self.answers(self.features(counts).to(counts.dtype), lengths)
 
     def answers(self, features: Tensor, lengths: Tensor) -> Tensor:
-        """Return (B, K, classes) logits after `lengths` (B, K) frames, from their features (B, T, width)."""
+        """Return what `at_lengths` does, from the features (B, T, width) of the frames."""
         frames = torch.arange(1, features.shape[1] + 1, device=features.device)[:, None]
         mean = features.cumsum(dim=1) / frames
         variance = (features * features).cumsum(dim=1) / frames - mean * mean
         highest = features.cummax(dim=1).values
-        last = (lengths - 1)[:, :, None].expand(-1, -1, features.shape[2])
+        last = (lengths - 1)[:, :, None].expand(len(features), -1, features.shape[2])
         ends = [x.gather(1, last) for x in (mean, variance, highest)]
         logits: Tensor = self.dense(self.summary(*ends))
         return logits

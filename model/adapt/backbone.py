@@ -119,20 +119,20 @@ def crops(
     lengths = [longest if isinstance(each, InPassing) else len(each.counts) for each in recordings]
     resting = [i for i, recording in enumerate(recordings) if recording.gesture == NO_TOUCH]
     still = msgspec.structs.replace(settings, **AS_IT_IS)
+    usual = torch.tensor([LEARNT_LENGTHS])
     values = []
     for i, recording in enumerate(tqdm(recordings, desc="preparing", leave=False, disable=None)):
         if isinstance(recording, InPassing):
-            touches, ends = varied_touches(recording, each, rng)
-            values.append(backbone.at_own_lengths(vary(touches, settings, rng), ends))
-            continue
-        own = settings if lengths[i] > longest else still
-        windows = crop(frames, torch.full((each,), i), longest, own, rng)
-        own_rests = [j for j in resting if recordings[j].participant == recording.participant]
-        if rests := own_rests or resting:
-            chosen = torch.tensor(rests)[torch.randint(len(rests), (each,), generator=rng)]
-            windows = begin_from_rest(windows, crop(frames, chosen, longest, still, rng), own, rng)
-        values.append(backbone.at_lengths(vary(windows, settings, rng), LEARNT_LENGTHS))
-    within = torch.tensor(lengths)[:, None] >= torch.tensor(LEARNT_LENGTHS)
+            windows, answered = _varied_touches(recording, each, rng)
+        else:
+            own = settings if lengths[i] > longest else still
+            windows, answered = crop(frames, torch.full((each,), i), longest, own, rng), usual
+            own_rests = [j for j in resting if recordings[j].participant == recording.participant]
+            if rests := own_rests or resting:
+                chosen = torch.tensor(rests)[torch.randint(len(rests), (each,), generator=rng)]
+                windows = begin_from_rest(windows, crop(frames, chosen, longest, still, rng), own, rng)
+        values.append(backbone.at_lengths(vary(windows, settings, rng), answered))
+    within = torch.tensor(lengths)[:, None] >= usual
     return CropFeatures(torch.stack(values), within, tuple(recording.gesture for recording in recordings))
 
 
@@ -144,7 +144,7 @@ def windows(backbone: TGC, recordings: Sequence[Recording]) -> dict[int, WindowF
     cut: dict[int, list[Window]] = {length: [] for length in (IN_PASSING, *LENGTHS)}
     for i, recording in enumerate(recordings):
         if isinstance(recording, InPassing):
-            cut[IN_PASSING].append((i, *when_answered(recording)))
+            cut[IN_PASSING].append((i, *_when_answered(recording)))
             continue
         frames = len(recording.counts)
         for length in (length for length in LENGTHS if length <= frames):
@@ -160,7 +160,7 @@ def _summaries(backbone: TGC, cut: Sequence[Window]) -> WindowFeatures:
     for i in range(0, len(cut), BATCH):
         _, counts, lengths = zip(*cut[i : i + BATCH], strict=True)
         batch = torch.from_numpy(np.stack(counts).astype(np.float32))
-        values.append(backbone.at_own_lengths(batch, torch.tensor(lengths)[:, None]).squeeze(1))
+        values.append(backbone.at_lengths(batch, torch.tensor(lengths)[:, None]).squeeze(1))
     return WindowFeatures(torch.cat(values), np.array([i for i, *_ in cut], dtype=np.int64))
 
 
@@ -170,7 +170,7 @@ def _filled(counts: NDArray[np.generic], length: int) -> Tensor:
     return torch.from_numpy(np.pad(counts.astype(np.float32), ((0, missing), (0, 0), (0, 0)), "edge"))
 
 
-def varied_touches(recording: InPassing, each: int, rng: torch.Generator) -> tuple[Tensor, Tensor]:
+def _varied_touches(recording: InPassing, each: int, rng: torch.Generator) -> tuple[Tensor, Tensor]:
     """Return (each, WINDOW_FRAMES, 8, 8) counts at random paces, and lengths (each, 4) to answer at."""
     lead = torch.randint(-LATEST_FRAMES, EARLIEST_FRAMES + 1, (each,), generator=rng).float()
     pace = 1.0 + PACE * (2.0 * torch.rand(each, generator=rng) - 1.0)
@@ -179,11 +179,11 @@ def varied_touches(recording: InPassing, each: int, rng: torch.Generator) -> tup
     over = lead + (recording.over - recording.first) / pace
     ends = (over[:, None].ceil().long() + wait).clamp(1, WINDOW_FRAMES)
     # At the usual lengths while the touch still goes on, else after its end.
-    usual = torch.tensor(LEARNT_LENGTHS).expand(each, -1)
+    usual = torch.tensor([LEARNT_LENGTHS])
     return _laid(recording, lead, pace), torch.where(usual <= over[:, None], usual, ends)
 
 
-def when_answered(recording: InPassing) -> tuple[NDArray[np.float32], int]:
+def _when_answered(recording: InPassing) -> tuple[NDArray[np.float32], int]:
     """Return (WINDOW_FRAMES, 8, 8) counts and the number of frames after which the daemon answers."""
     (window,) = _laid(recording, torch.tensor([float(EARLIEST_FRAMES)]), torch.ones(1)).numpy()
     return window, min(recording.over - recording.first + EARLIEST_FRAMES + AFTER_FRAMES, WINDOW_FRAMES)

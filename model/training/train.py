@@ -16,8 +16,8 @@ from torch.nn import functional
 from tqdm import tqdm
 
 from touchd.drivers.recording import Recording
+from touchd.model.adapt.adapt import code_version, data_hash
 from touchd.model.adapt.optimise import GRADIENT_LIMIT, learning_rate_at
-from touchd.model.adapt.output import code_version, data_hash
 from touchd.model.tgc import TGC
 from touchd.model.training import checkpoint
 from touchd.model.training.calibrate import IMPOSSIBLE
@@ -46,7 +46,7 @@ class AtLengths(nn.Module):
         self.network = network
 
     def forward(self, windows: Tensor, lengths: Tensor) -> Tensor:
-        return self.network.at_own_lengths(windows, lengths)
+        return self.network.at_lengths(windows, lengths)
 
 
 class Training:

@@ -61,7 +61,7 @@ def network() -> TGC:
 @torch.no_grad()
 def test_one_pass_answers_at_every_length(network: TGC) -> None:
     window = batch(hand(144))
-    together = network.at_lengths(window, LENGTHS)
+    together = network.at_lengths(window, torch.tensor([LENGTHS]))
     for place, length in enumerate(LENGTHS):
         alone = network(window[:, :length])
         assert (together[:, place] - alone).abs().max().item() <= 1e-6
@@ -74,7 +74,7 @@ def test_one_pass_answers_at_every_length(network: TGC) -> None:
 def test_an_answer_does_not_depend_on_what_comes_later(network: TGC, later: np.ndarray) -> None:
     for length in LENGTHS:
         now = hand(length)
-        answer = network.at_lengths(batch(np.concatenate([now, later])), (length,))[:, 0]
+        answer = network.at_lengths(batch(np.concatenate([now, later])), torch.tensor([[length]]))[:, 0]
         assert (answer - network(batch(now))).abs().max().item() <= 1e-6
 
 

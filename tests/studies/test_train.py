@@ -17,7 +17,7 @@ import torch
 from torch import nn
 
 from touchd.drivers.recording import Recording, ideal_clock_ms
-from touchd.model.adapt.output import code_version, data_hash
+from touchd.model.adapt.adapt import code_version, data_hash
 from touchd.model.classifier import SHIPPED_MODEL
 from touchd.model.settings import NetworkSettings
 from touchd.model.tgc import TGC
@@ -111,7 +111,7 @@ def test_a_network_side_by_side_answers_as_it_does_alone(way: Callable[[nn.Modul
     lengths = torch.tensor(SETTINGS.lengths).expand(3, 2, -1)
     together = way(AtLengths(TGC(CALM, 2)))(training.weights, windows, lengths)
     for network, own, answers in zip(training.snapshots(), windows, together, strict=True):
-        torch.testing.assert_close(network.build().at_lengths(own, SETTINGS.lengths), answers)
+        torch.testing.assert_close(network.build().at_lengths(own, torch.tensor([SETTINGS.lengths])), answers)
 
 
 def test_the_recipe_holds_out_each_person_and_the_third_study() -> None:

@@ -43,7 +43,7 @@ class Reference:
     @torch.no_grad()
     def logits_at(self, counts: NDArray[np.generic], length: int) -> NDArray[np.float64]:
         """Return the logits (7,) of the first `length` frames, from one pass over all frames."""
-        return _array(self.calibrated.network.at_lengths(batch(counts), (length,))[0, 0])
+        return _array(self.calibrated.network.at_lengths(batch(counts), torch.tensor([[length]]))[0, 0])
 
     def initial_state(self) -> TGCState:
         """Return the state before the first frame."""
