@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from touchd.drivers.recording import Recording
-from touchd.model.adapt.passing import IN_PASSING
-from touchd.model.settings import LENGTHS
 
 LeftOut = Literal["participants", "recordings", "nothing"]
 Floats = NDArray[np.float64]
@@ -99,34 +97,30 @@ class Comparison(msgspec.Struct, frozen=True, kw_only=True):
 
 def compare(scored: Mapping[int, Sequence[Scored]], known: Sequence[str], left_out: LeftOut) -> Comparison:
     """Return the figures of held-out recordings by the length of the windows. known: the shipped labels."""
-    found = {frames: scored[frames] for frames in (IN_PASSING, *LENGTHS) if scored.get(frames)}
     return Comparison(
         left_out=left_out,
-        participants=len({each.participant for own in found.values() for each in own}),
-        lengths=[_figures(frames, own, known, left_out) for frames, own in found.items()],
+        participants=len({each.participant for own in scored.values() for each in own}),
+        lengths=[_figures(frames, own, known, left_out) for frames, own in scored.items() if own],
     )
 
 
 def _figures(frames: int, scored: Sequence[Scored], known: Sequence[str], left_out: LeftOut) -> LengthFigures:
     gestures = {}
     for name, own in _by(scored, "gesture").items():
-        was = _macro(own, "before") if name in known else None
-        gestures[name] = GestureFigures(recordings=len(own), before=was, after=_macro(own, "after"))
+        before, after = _macro(own).tolist()
+        was = before if name in known else None
+        gestures[name] = GestureFigures(recordings=len(own), before=was, after=after)
     in_both = [each for each in scored if each.gesture in known]
     if not in_both:
         return LengthFigures(frames=frames, gestures=gestures)
-    groups = [*_by(in_both, "participant").values()] if left_out == "participants" else [in_both]
-    before, after = (np.array([_macro(group, when) for group in groups]) for when in ("before", "after"))
-    gains = after - before
-    if left_out != "participants":
-        gains = np.array([each.after - each.before for each in in_both])
-    return LengthFigures(
-        frames=frames,
-        gestures=gestures,
-        before=float(before.mean()),
-        after=float(after.mean()),
-        interval=mean_interval(gains),
-    )
+    if left_out == "participants":
+        shares = np.array([_macro(own) for own in _by(in_both, "participant").values()])
+        before, after = shares.mean(axis=0).tolist()
+    else:
+        shares = np.array([(each.before, each.after) for each in in_both])
+        before, after = _macro(in_both).tolist()
+    interval = mean_interval(shares[:, 1] - shares[:, 0])
+    return LengthFigures(frames=frames, gestures=gestures, before=before, after=after, interval=interval)
 
 
 def _by(scored: Sequence[Scored], key: Literal["gesture", "participant"]) -> dict[str, list[Scored]]:
@@ -135,10 +129,11 @@ def _by(scored: Sequence[Scored], key: Literal["gesture", "participant"]) -> dic
     return {name: [each for each in scored if getattr(each, key) == name] for name in names}
 
 
-def _macro(scored: Sequence[Scored], when: Literal["before", "after"]) -> float:
-    """Return the mean over gestures of the recordings' shares."""
+def _macro(scored: Sequence[Scored]) -> Floats:
+    """Return the means over gestures (2,) of the recordings' shares before and after."""
     by_gesture = _by(scored, "gesture").values()
-    return float(np.mean([np.mean([getattr(each, when) for each in own]) for own in by_gesture]))
+    means = [np.mean([(each.before, each.after) for each in own], axis=0) for own in by_gesture]
+    return np.asarray(np.mean(means, axis=0))
 
 
 def mean_interval(values: Floats) -> tuple[float, float] | None:
