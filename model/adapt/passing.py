@@ -62,10 +62,9 @@ def _frames(ms: np.int64) -> int:
 
 
 def _follows(one: Recording, other: Recording) -> bool:
-    """Whether one is a live touch and the other the rest just after it, or the other way round."""
+    """Whether one is a touch and the other the rest just after it, or the other way round."""
     is_pair = (one.gesture == NO_TOUCH) != (other.gesture == NO_TOUCH) and set_up(one) == set_up(other)
-    is_live = all(each.framing == "live" for each in (one, other) if each.gesture != NO_TOUCH)
-    return is_pair and is_live and bool(0 < other.sensor_ms[0] - one.sensor_ms[-1] <= CUT_MS)
+    return is_pair and bool(0 < other.sensor_ms[0] - one.sensor_ms[-1] <= CUT_MS)
 
 
 def _in_passing(touch: Recording, parts: Sequence[Recording]) -> list[Recording]:
