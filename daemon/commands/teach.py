@@ -50,8 +50,7 @@ def main(options: argparse.Namespace) -> int:
         import torch  # noqa: F401
 
         from touchd.model.adapt.adapt import adapt_folder
-        from touchd.model.adapt.folder import files_of, read_file
-        from touchd.model.adapt.output import check_output
+        from touchd.model.adapt.folder import check_output, files_of, read_file
         from touchd.model.adapt.report import is_better, report_lines
 
     console = Console(width=text_width(), highlight=False, markup=False)

@@ -10,8 +10,7 @@ from rich.console import Console
 from touchd.daemon.sinks.touch_store import labels_in
 from touchd.drivers.errors import TouchdError
 from touchd.drivers.frame import NO_TOUCH, OTHER
-from touchd.model.adapt.folder import files_of
-from touchd.model.adapt.output import check_output
+from touchd.model.adapt.folder import check_output, files_of
 
 DESCRIPTION = (
     "Adapts the shipped model to your own recordings: a minute for one person, several "

@@ -4,8 +4,9 @@ Accuracy on recordings that were held out is measured before and after.
 """
 
 import hashlib
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from importlib.metadata import version
 from pathlib import Path
 
 import msgspec
@@ -21,16 +22,17 @@ from touchd.drivers.frame import NO_TOUCH, OTHER
 from touchd.drivers.recording import Recording
 from touchd.drivers.whole_file import whole_file
 from touchd.model.adapt.backbone import CropFeatures, Remembered, WindowFeatures, crops, split, windows
-from touchd.model.adapt.folder import NO_LABELS, read_all
+from touchd.model.adapt.folder import NO_LABELS, OutputError, check_output, model_name, read_all
 from touchd.model.adapt.head import AdaptSettings, fit, rebuilt
 from touchd.model.adapt.measure import Comparison, Fold, Scored, compare, plan
 from touchd.model.adapt.optimise import one_torch_thread
-from touchd.model.adapt.output import OutputError, check_output, code_version, data_hash, model_name
 from touchd.model.classifier import METADATA_KEY, SHIPPED_MODEL, Classifier, ModelMetadata
 from touchd.model.settings import AugmentationSettings, NetworkSettings
 from touchd.model.tgc import TGC
 
 SETTINGS = AdaptSettings()
+# The sources that decide any training's result.
+SOURCES = ("adapt/augment.py", "adapt/optimise.py", "tgc.py", "settings.py")
 # How much more `other` is rehearsed if nobody recorded it. After three people and a gesture of their own,
 # 41 % of others' touches that are none are still refused (44 before); without it 21 %.
 MORE_OTHER = 2
@@ -202,3 +204,19 @@ def grafted(model: Path, head: nn.Sequential, metadata: ModelMetadata) -> onnx.M
     entry.value = msgspec.json.encode(metadata).decode()
     onnx.checker.check_model(proto)
     return proto
+
+
+def code_version(*more: Path) -> str:
+    """Return the installed version and a digest of the sources. more: further sources of a training."""
+    digest = hashlib.sha256()
+    for path in (*(Path(__file__).parents[1] / name for name in SOURCES), *more):
+        digest.update(path.read_bytes())
+    return f"{version('touchd')}+{digest.hexdigest()[:12]}"
+
+
+def data_hash(recordings: Iterable[Recording]) -> str:
+    """Return the SHA-256 of all counts (int16, little-endian, in order)."""
+    digest = hashlib.sha256()
+    for recording in recordings:
+        digest.update(recording.counts.astype("<i2").tobytes())
+    return digest.hexdigest()

@@ -1,6 +1,10 @@
-"""Reads and checks a folder of a lab's own recordings, as `touchd record` makes it."""
+"""Reads and checks a folder of a lab's own recordings, and checks where the model is written.
+
+Imports no torch, so that a command can refuse a path at once.
+"""
 
 import hashlib
+import os
 import re
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
@@ -29,6 +33,7 @@ SHORTEST_FRAMES = 54
 GESTURE = re.compile(rf"[A-Za-z0-9][A-Za-z0-9_-]{{0,{LONGEST_LABEL - 1}}}")
 # Reserved: events use it in place of a gesture.
 RESERVED = "uncertain"
+MODEL_SUFFIX = ".onnx"
 # Why a saved touch is passed over.
 NO_LABEL, CUT_SHORT = "without a label", "cut short by a gap, another touch or touchd's end"
 NO_LABELS: Mapping[str, str] = {}
@@ -36,6 +41,10 @@ NO_LABELS: Mapping[str, str] = {}
 
 class ExtraError(TouchdError):
     """A folder of recordings cannot be used for training; the message names it, the reason and the remedy."""
+
+
+class OutputError(TouchdError):
+    """The adapted model cannot be written; the message says why and what to do."""
 
 
 class Read(NamedTuple):
@@ -163,3 +172,18 @@ def _check_gestures(folder: Path, gestures: set[str], known: Sequence[str], keep
     labels = gestures.union(known if keep_all else (), {NO_TOUCH})
     if len(labels) > MOST_LABELS:
         raise ExtraError(f"{folder}: {len(labels)} gestures; at most {MOST_LABELS} can be told apart")
+
+
+def check_output(output: Path) -> None:
+    """Raise OutputError unless a new .onnx file can be written there."""
+    if output.suffix != MODEL_SUFFIX:
+        raise OutputError(f"{output}: a model's name ends with {MODEL_SUFFIX}; give one with --output")
+    if output.exists():
+        raise OutputError(f"{output}: exists and is never overwritten; give another --output")
+    if not os.access(output.parent, os.W_OK | os.X_OK):
+        raise OutputError(f"{output.parent}: nothing can be written there; give another --output")
+
+
+def model_name(output: Path) -> str:
+    """Return the model's name: its file's name, reduced to the characters that `Name` allows."""
+    return re.sub(r"[^A-Za-z0-9_.+-]+", "-", output.stem)[:64]

@@ -30,7 +30,7 @@ from touchd.drivers.recording import Recording, ideal_clock_ms, write_recordings
 from touchd.model.adapt import adapt as adapting
 from touchd.model.adapt.adapt import Adapted, Pretrained, adapt, grafted, logits, write
 from touchd.model.adapt.backbone import CropFeatures, Remembered, crops, windows
-from touchd.model.adapt.folder import ExtraError, read_all
+from touchd.model.adapt.folder import ExtraError, model_name, read_all
 from touchd.model.adapt.head import AdaptSettings, fit, rebuilt
 from touchd.model.adapt.measure import (
     Comparison,
@@ -41,7 +41,6 @@ from touchd.model.adapt.measure import (
     mean_interval,
     plan,
 )
-from touchd.model.adapt.output import model_name
 from touchd.model.adapt.passing import IN_PASSING, InPassing, joined
 from touchd.model.adapt.report import is_better, report_lines
 from touchd.model.classifier import SHIPPED_MODEL, Classifier, Name
