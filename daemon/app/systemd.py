@@ -4,7 +4,7 @@ import math
 import os
 import socket
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 
 from touchd.daemon.app.parts import PadChannel
@@ -42,23 +42,14 @@ class Health:
         self._next_feed_s = 0.0 if self.watchdog_s else math.inf
         self._status_s = time.monotonic()
 
-    def reporting(self, must_stop: Callable[[], bool]) -> Callable[[], bool]:
-        """Return `must_stop` for the daemon's loop, with a report each time that the loop asks."""
-
-        def asked() -> bool:
-            if must_stop():
-                self._send(STOPPING=1)
-                return True
-            self._look()
-            return False
-
-        return asked
-
     def close(self) -> None:
         self._socket.close()
 
-    def _look(self) -> None:
-        """Look at the pads. Once the state of one is known, the daemon is ready."""
+    def look(self, *, is_ending: bool = False) -> bool:
+        """Look at the pads, and report; the daemon is ready once one's state is known. Returns is_ending."""
+        if is_ending:
+            self._send(STOPPING=1)
+            return True
         now_s = time.monotonic()
         for pad in self._pads:
             before, self._seen[pad.name] = self._seen.get(pad.name), (pad.frames, pad.is_up)
@@ -72,6 +63,7 @@ class Health:
             self._next_feed_s = now_s + self.watchdog_s / FEEDS_PER_WATCHDOG
         if now_s - self._status_s >= STATUS_EVERY_S:
             self._report(now_s)
+        return False
 
     def _report(self, now_s: float) -> None:
         """Report the status: frames a second, touches and dropped frames so far."""

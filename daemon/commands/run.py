@@ -116,7 +116,7 @@ def main(options: argparse.Namespace) -> int:
         favour_latency()
         health = Health(os.environ, service.pads, service.events)
         closing.callback(health.close)
-        service.run(health.reporting(lambda: signals.must_stop))
+        service.run(lambda: health.look(is_ending=signals.must_stop))
     return 0
 
 

@@ -55,14 +55,12 @@ class Watched:
     health: Health
     pad: PadChannel
     arm: PadChannel
-    must_stop: Callable[[], bool]
-    asked: list[bool]
 
     def processes(self, frames: int) -> None:
         """Process frames of the pad, one a turn."""
         for _ in range(frames):
             self.pad.frames, self.pad.is_up = self.pad.frames + 1, True
-            self.must_stop()
+            self.health.look()
 
 
 @pytest.fixture
@@ -70,15 +68,14 @@ def watched(manager: Manager) -> Iterator[Watched]:
     settings = Settings(sensors={name: PadSettings(port=f"/dev/{name}") for name in ("pad", "arm")})
     service = Service(settings)
     pad, arm = service.pads
-    health, asked = Health(manager.environ, service.pads, service.events), list[bool]()
-    yield Watched(health, pad, arm, health.reporting(lambda: bool(asked)), asked)
-    health.close()
+    with closing(Health(manager.environ, service.pads, service.events)) as health:
+        yield Watched(health, pad, arm)
 
 
 def stopping(environ: dict[str, str]) -> float:
     """Tell a manager that the daemon stops; return how often it has to be fed, in seconds."""
     with closing(Health(environ, (), EventFanout())) as health:
-        assert health.reporting(lambda: True)()
+        assert health.look(is_ending=True)
         return health.watchdog_s
 
 
@@ -102,18 +99,18 @@ def test_a_watchdog_for_another_process_is_ignored() -> None:
 
 
 def test_ready_is_sent_once_the_pads_state_is_known(manager: Manager, watched: Watched) -> None:
-    watched.must_stop()
+    watched.health.look()
     assert manager.received() == []
     watched.pad.is_up = False
-    watched.must_stop()
+    watched.health.look()
     watched.pad.is_up = True
-    watched.must_stop()
+    watched.health.look()
     assert manager.received().count("READY=1") == 1
 
 
 def test_the_watchdog_is_fed_while_the_pad_is_away(manager: Manager, watched: Watched) -> None:
     watched.pad.is_up = False
-    watched.must_stop()
+    watched.health.look()
     assert "WATCHDOG=1" in manager.received()
 
 
@@ -123,11 +120,11 @@ def test_the_watchdog_starves_when_one_present_pad_is_silent(
 ) -> None:
     now_s = time.monotonic()
     watched.pad.is_up, watched.arm.is_up = True, False
-    watched.must_stop()
+    watched.health.look()
     manager.received()
     monkeypatch.setattr(time, "monotonic", lambda: now_s + 2000)
     watched.pad.frames += silent == "nobody"
-    watched.must_stop()
+    watched.health.look()
     assert [line for line in manager.received() if "WATCHDOG" in line] == fed
 
 
@@ -154,7 +151,7 @@ def test_each_status_counts_from_the_one_before(
     for passed_s, frames in ((10, 540), (10, 270), (10, 0)):
         watched.pad.frames += frames
         now_s[0] += passed_s
-        watched.must_stop()
+        watched.health.look()
     ends = " frames/s, arm away, 0 touches, 7 frames dropped"
     statuses = [line for line in manager.received() if line.startswith("STATUS=")]
     assert statuses == [f"STATUS={rate}{ends}" for rate in ("54.1", "27.0", "0.0")]
