@@ -188,9 +188,8 @@ def _draw_pressure(axes: Axes, traced: Trace, colours: Colours, begin_s: float, 
     load = traced.rise.sum(axis=(1, 2))
     highest = max(float(load[first : last + 1].max()), LEAST_SCALE_COUNTS)
     for number in range(len(traced.touches)):
-        start_s, stop_s = max(begin_s, traced.starts_s[number]), min(end_s, traced.ends_s(number))
-        if start_s < stop_s:
-            axes.axvspan(start_s, stop_s, color=PALE, linewidth=0, zorder=0)
+        start_s, stop_s = traced.starts_s[number], traced.ends_s(number)
+        axes.axvspan(start_s, stop_s, color=PALE, linewidth=0, zorder=0)
     for span in traced.stream.spans:
         part = slice(max(span.start, first), min(span.stop, last + 1))
         if span.is_added or len(load[part]) == 0:
