@@ -40,7 +40,6 @@ class PadChannel:
     """
 
     name: str
-    model: Classifier
     queue: FrameQueue
     sensor: Sensor
     pipeline: Pipeline
@@ -79,7 +78,7 @@ def make_parts(settings: Settings, emit: Callable[[Event], None], viewers: Viewe
         sensor = Sensor(pad.sensor.port, pad.sensor.baud, FrameParser(pad.sensor.described), queue)
         monitor = PadMonitor(name, sensor.parser)
         pipeline = Pipeline(pad.pipeline, models[name], emit, None, name, viewers, monitor, detector)
-        pads.append(PadChannel(name, models[name], queue, sensor, pipeline))
+        pads.append(PadChannel(name, queue, sensor, pipeline))
     return _with_sinks(tuple(pads), settings, models, emit)
 
 
@@ -106,10 +105,8 @@ def _with_sinks(
 
         live = LiveServer(settings, models, labeller=labeller if settings.live.label else None)
         sinks.append(live)
-    bridges: tuple[Bridge, ...] = ()
-    if any(settings.bridges.values()):
-        bridges = make_bridges(settings, models)
-        sinks += bridges
+    bridges = make_bridges(settings, models)
+    sinks += bridges
     if settings.robot is not None:
         sinks.append(link_to_robot(settings, emit))
     return Parts(pads, tuple(sinks), live, kept, bridges, labeller)

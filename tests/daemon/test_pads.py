@@ -28,7 +28,7 @@ from touchd.daemon.app.config import (
     Settings,
     load,
 )
-from touchd.daemon.app.parts import make_parts
+from touchd.daemon.app.parts import load_models
 from touchd.daemon.bridges.settings import MqttSettings
 from touchd.daemon.commands.settings import only_pad
 from touchd.daemon.path.events import Event, Prediction, RobotAction, SensorEvent, TouchBegan, TouchEnded
@@ -39,7 +39,6 @@ from touchd.daemon.sinks.touch_store import folder_of, kept_touches
 from touchd.daemon.sinks.touches import decode, gather, read_events
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.pad.format import PadFormat
-from touchd.drivers.queue import Signal
 from touchd.drivers.recording import Stream, ideal_clock_ms
 from touchd.drivers.robot.session import RobotSettings
 from touchd.model.classifier import SHIPPED_MODEL
@@ -82,8 +81,7 @@ def test_pads_share_a_model_unless_one_has_its_own(tmp_path: Path) -> None:
     own = tmp_path / "own.onnx"
     own.write_bytes(SHIPPED_MODEL.read_bytes())
     sensors = {name: PadSettings(port=name, model=str(own) if name == "c" else None) for name in "abc"}
-    parts = make_parts(Settings(sensors=sensors), lambda _: None, tuple, Signal())
-    models = {pad.name: pad.model for pad in parts.pads}
+    models = load_models(Settings(sensors=sensors))
     assert models["a"] is models["b"]
     assert models["c"] is not models["a"]
 
