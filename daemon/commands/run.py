@@ -125,9 +125,8 @@ def _show_in_terminal(service: Service, settings: Settings, page: str, closing: 
     # It brings rich, which no service needs.
     from touchd.daemon.view.view import View
 
-    (name, first), *_ = settings.pads.items()
-    title = f"{first.sensor.port} · {page}" if page else first.sensor.port
-    view = View(title, first, name)
+    first, *_ = settings.pads.values()
+    view = View(f"{first.sensor.port} · {page}" if page else first.sensor.port, settings)
     closing.enter_context(view)
     service.tell(view)
     service.watchers.append(view)

@@ -68,23 +68,18 @@ NOTE_ROWS = 3
 class View:
     """A sink that draws events, frames and notes. Thread-safe.
 
-    settings: of the shown pad. console: standard output by default. card: lines to show if there is room.
+    Shows the first pad. console: standard output by default. card: lines to show if there is room.
     labeller: takes what a person says, by a key, that the touch on the screen was; None if nobody can.
     """
 
     def __init__(
-        self,
-        title: str,
-        settings: Settings,
-        pad: str = DEFAULT_PAD,
-        console: Console | None = None,
-        card: str = "",
+        self, title: str, settings: Settings, console: Console | None = None, card: str = ""
     ) -> None:
         self._title = title
         self._words = words_of(settings)
-        self._marks_s = [frames / FRAME_RATE_HZ for frames in settings.scene.answer_at_frames]
+        (self._shown_pad, shown), *_ = settings.pads.items()
+        self._marks_s = [frames / FRAME_RATE_HZ for frames in shown.scene.answer_at_frames]
         self._card = card.splitlines()
-        self._shown_pad = pad
         self._console = console or Console()
         self._lock = threading.Lock()
         self._rest: NDArray[np.float64] | None = None
