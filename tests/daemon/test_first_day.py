@@ -162,16 +162,6 @@ def test_commands_say_which_configuration_they_found(
     assert "spy" in said.out
 
 
-def test_run_says_where_settings_and_journal_are(homes: dict[str, Path], tmp_path: Path) -> None:
-    journal = tmp_path / "events.jsonl"
-    homes["here"].write_text(f"sensor: {{port: /dev/nowhere}}\njournal: {{path: {journal}}}")
-    with Program(*TOUCHD, "run", stderr=subprocess.PIPE) as daemon:
-        assert daemon.stderr is not None
-        lines = (line for line in daemon.stderr if "settings: " in line)
-        assert next(lines).endswith(f"settings: {homes['here']}; journal: {journal}\n")
-        daemon.terminate()
-
-
 def test_the_printed_example_is_a_configuration(
     homes: dict[str, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
