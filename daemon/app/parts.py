@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import importlib.util
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from touchd.daemon.app.config import ConfigError, SceneSettings, Settings, config_errors
-from touchd.daemon.bridges.bridge import Bridge
-from touchd.daemon.bridges.bridges import make_bridges
+from touchd.daemon.bridges.bridge import Bridge, BridgeError
+from touchd.daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings
+from touchd.daemon.path.decide import told_in
 from touchd.daemon.path.events import UNCERTAIN, Event
 from touchd.daemon.path.monitor import PadMonitor
 from touchd.daemon.path.pipeline import Pipeline, Viewers
@@ -21,6 +23,7 @@ from touchd.daemon.sinks.sink import Sink
 from touchd.daemon.sinks.touch_store import TouchSink, keep_touches
 from touchd.drivers.errors import written_out
 from touchd.drivers.frame import COLUMNS, NO_TOUCH, OTHER, ROWS
+from touchd.drivers.installed import EXTRAS, how_to_install
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import SensorError, check_port
 from touchd.drivers.pad.sensor import FrameQueue, Sensor
@@ -110,6 +113,35 @@ def _with_sinks(
     if settings.robot is not None:
         sinks.append(link_to_robot(settings, emit))
     return Parts(pads, tuple(sinks), live, kept, bridges, labeller)
+
+
+def make_bridges(settings: Settings, models: Mapping[str, Classifier]) -> tuple[Bridge, ...]:
+    """Return the configured bridges, not yet started.
+
+    models: of each pad. Raises BridgeError when a bridge cannot be used as configured.
+    """
+    bridges: list[Bridge] = []
+    for name, section in settings.bridges.items():
+        if section is None:
+            continue
+        for library in EXTRAS[name]:
+            if importlib.util.find_spec(library) is None:
+                raise BridgeError(f"{name}: {library} is not installed: {how_to_install(name)}")
+        if isinstance(section, LslSettings | Ros2Settings):
+            from touchd.daemon.bridges.apart import ApartBridge
+
+            bridges.append(ApartBridge(section, settings.name, tuple(settings.pads)))
+        elif isinstance(section, MqttSettings):
+            from touchd.daemon.bridges.mqtt import MqttBridge
+
+            for pad, own in settings.pads.items():
+                labels = told_in(own.scene.gestures, models[pad].labels)
+                bridges.append(MqttBridge(section, settings.name, pad, labels))
+        else:
+            from touchd.daemon.bridges.rosbridge import RosbridgeBridge
+
+            bridges += (RosbridgeBridge(section, settings.name, pad) for pad in settings.pads)
+    return tuple(bridges)
 
 
 def load_models(settings: Settings) -> dict[str, Classifier]:

@@ -33,7 +33,7 @@ from rigs.sockets import free_port
 from rigs.stub_robot import StubRobot
 
 from touchd.daemon.app.config import LiveSettings, Settings
-from touchd.daemon.bridges.bridges import make_bridges
+from touchd.daemon.app.parts import make_bridges
 from touchd.daemon.bridges.settings import MqttSettings
 from touchd.daemon.commands.settings import load_model
 from touchd.daemon.live.server import LiveServer

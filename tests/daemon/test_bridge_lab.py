@@ -21,9 +21,9 @@ from rigs.sockets import free_port
 from rigs.wait import WITHIN_S, wait_for
 
 from touchd.daemon.app.config import Settings
+from touchd.daemon.app.parts import make_bridges
 from touchd.daemon.bridges.apart import ApartBridge
 from touchd.daemon.bridges.bridge import BridgeError
-from touchd.daemon.bridges.bridges import make_bridges
 from touchd.daemon.bridges.settings import LslSettings, RosbridgeSettings
 from touchd.daemon.path.events import (
     Label,

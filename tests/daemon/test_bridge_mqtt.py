@@ -22,8 +22,8 @@ from rigs.sockets import free_port
 from rigs.wait import WITHIN_S, wait_for
 
 from touchd.daemon.app.config import Settings
+from touchd.daemon.app.parts import make_bridges
 from touchd.daemon.bridges.bridge import Bridge, BridgeError
-from touchd.daemon.bridges.bridges import make_bridges
 from touchd.daemon.bridges.settings import MqttSettings
 from touchd.daemon.path.events import SensorEvent, TouchEnded, encode
 from touchd.daemon.sinks.touches import decode
