@@ -73,18 +73,17 @@ class EndedTouch:
         end = len(self.frames) if self.ended.reason == "released" else stop
         tags = {} if self.began.tags is UNSET else self.began.tags
         participant, substrate, cover = (tags.get(key, UNLABELLED) for key in KEYS[:3])
-        recordings = []
-        for gesture, piece in (
+        counts = np.stack([frame.pressure for frame in self.frames])
+        pieces = (
             (NO_TOUCH, slice(rest, first)),
             (UNLABELLED, slice(first, stop)),
             (NO_TOUCH, slice(stop, end)),
-        ):
-            if frames := self.frames[piece]:
-                counts = np.stack([frame.pressure for frame in frames])
-                recordings.append(
-                    Recording(participant, substrate, cover, gesture, counts, clock[piece], "live")
-                )
-        return recordings
+        )
+        return [
+            Recording(participant, substrate, cover, gesture, counts[piece], clock[piece], "live")
+            for gesture, piece in pieces
+            if len(clock[piece])
+        ]
 
 
 @dataclass(frozen=True, order=True)
