@@ -19,10 +19,9 @@ from websockets.frames import CloseCode
 
 from touchd.daemon.app.config import LiveSettings, Settings
 from touchd.daemon.live.address import listen, own_names, urls_of
-from touchd.daemon.live.label import take_label
 from touchd.daemon.live.memory import Memory
 from touchd.daemon.live.page import Page
-from touchd.daemon.live.viewers import Connection, Viewers
+from touchd.daemon.live.viewers import Connection, Viewers, take_label
 from touchd.daemon.path.events import Event, LivePrediction, RobotEvent
 from touchd.daemon.sinks.labels import Labeller
 from touchd.drivers.frame import DEFAULT_PAD, Frame
@@ -74,11 +73,6 @@ class LiveServer:
         self._loop = asyncio.new_event_loop()
         self._stopping = asyncio.Event()
         self._thread = threading.Thread(target=self._run, name="touchd-live", daemon=True)
-
-    @property
-    def dropped(self) -> int:
-        """Events and frames dropped because the page's thread was too slow; slow viewers do not count."""
-        return self._items.dropped
 
     def start(self) -> None:
         log.info("live page: %s", " ".join(self.urls))

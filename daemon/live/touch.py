@@ -48,9 +48,6 @@ class _Touch(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     at: Annotated[list[_Spot], msgspec.Meta(max_length=MOST_POINTERS)]
 
 
-_decode = msgspec.json.Decoder(_Touch).decode
-
-
 class Touching:
     """The pointers of all viewers, from messages that are bounded in size and values. Thread-safe.
 
@@ -66,7 +63,7 @@ class Touching:
         """Update a viewer's pointers from its message; returns why the message is refused, or ""."""
         now_s = time.monotonic()
         try:
-            touch = _decode(message)
+            touch = msgspec.json.decode(message, type=_Touch)
         except (msgspec.DecodeError, UnicodeDecodeError):
             return "not a touch"
         pressed: dict[Hashable, Pointer] = {

@@ -1,11 +1,18 @@
-"""The viewers of the live page and their limits: they share the daemon's memory and descriptors."""
+"""The viewers of the live page: limits of what they share with the daemon, and who may label touches."""
 
 import asyncio
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping
+from ipaddress import IPv6Address
+from typing import Annotated, Any
 
+import msgspec
 from websockets.asyncio.server import ServerConnection, broadcast
 from websockets.protocol import State
+
+from touchd.daemon.live.address import ip_of, name_in
+from touchd.daemon.live.memory import Memory
+from touchd.daemon.path.events import Count
+from touchd.daemon.sinks.labels import Labeller
 
 # Connections of any kind, including those for files and idle ones.
 MOST_CONNECTIONS = 64
@@ -15,6 +22,8 @@ MOST_WAITING_FRAMES = 4096
 # Backlog at which a viewer is disconnected; its page connects again and gets the state. Sixteen pads' states
 # have some 800 kB.
 MOST_WAITING_BYTES = 1_000_000
+# A web server in front of the page hides where a viewer is; it adds one of these.
+FORWARDED = ("Forwarded", "X-Forwarded-For", "X-Real-IP", "Via")
 
 
 class Connection(ServerConnection):
@@ -86,3 +95,44 @@ class Viewers:
 
 def _waiting_bytes(viewer: ServerConnection) -> int:
     return viewer.transport.get_write_buffer_size()
+
+
+class _Said(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What a touch was."""
+
+    pad: Annotated[str, msgspec.Meta(max_length=100)]
+    touch: Count
+    gesture: Annotated[str, msgspec.Meta(max_length=100)]
+
+
+def take_label(
+    labeller: Labeller, pads: Mapping[str, Memory], viewer: ServerConnection, message: str | bytes
+) -> str:
+    """Emit the label in a viewer's message; returns why the message is refused, or ""."""
+    if not is_here(viewer):
+        return "only this computer may say what a touch was"
+    try:
+        said = msgspec.json.decode(message, type=_Said)
+    except (msgspec.DecodeError, UnicodeDecodeError):
+        return "not a label"
+    touch = pads[said.pad].find(said.touch) if said.pad in pads else None
+    if touch is None:
+        return "no such touch"
+    if said.gesture not in labeller.gestures[said.pad]:
+        return "no such gesture"
+    labeller.label(touch, said.gesture)
+    return ""
+
+
+def is_here(viewer: ServerConnection) -> bool:
+    """Whether a viewer is on this computer, and asked for the page by a name of this computer alone."""
+    headers = viewer.request.headers if viewer.request else {}
+    name = name_in(headers.get("Host", ""))
+    is_forwarded = any(each in headers for each in FORWARDED)
+    return (name == "localhost" or _is_here(name)) and _is_here(viewer.remote_address[0]) and not is_forwarded
+
+
+def _is_here(address: str) -> bool:
+    ip = ip_of(address)
+    mapped = ip.ipv4_mapped if isinstance(ip, IPv6Address) else None
+    return ip is not None and (mapped or ip).is_loopback

@@ -27,11 +27,10 @@ from touchd.daemon.app.cli import complain
 from touchd.daemon.app.config import ConfigError, LiveSettings, Settings
 from touchd.daemon.live import server, viewers
 from touchd.daemon.live.address import LiveError, is_own_host, listen, own_names, parse_address
-from touchd.daemon.live.label import is_here
 from touchd.daemon.live.memory import Memory
 from touchd.daemon.live.page import FOLDER
 from touchd.daemon.live.server import CAPACITY, HANDSHAKE_S, LiveServer
-from touchd.daemon.live.viewers import MOST_CONNECTIONS, MOST_VIEWERS
+from touchd.daemon.live.viewers import MOST_CONNECTIONS, MOST_VIEWERS, is_here
 from touchd.daemon.path.events import SensorEvent, TouchBegan, TouchEnded, encode
 from touchd.daemon.sinks.touches import PREDICTIONS, TOUCHES
 
@@ -134,7 +133,7 @@ def test_a_stalled_viewer_does_not_affect_the_others(
             served.sink.put(BEGAN)
             newest = served.put_frame()
             frames_among(viewer, newest)
-            assert served.sink.dropped == 0
+            assert served.sink._items.dropped == 0
 
             backlog: list[str | bytes] = []
             while newest not in backlog:
@@ -192,7 +191,7 @@ def test_a_hanging_page_thread_delays_no_event(served: Served) -> None:
     with hung(served.sink):
         for _ in range(CAPACITY + 7):
             served.sink.put(PAD_UP)
-        assert served.sink.dropped == 7
+        assert served.sink._items.dropped == 7
 
 
 def test_a_later_viewer_gets_the_state_despite_a_flood(served: Served, viewer: ClientConnection) -> None:
