@@ -26,7 +26,7 @@ class NetworkSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Counts below are taken about linearly, above logarithmically. Below lies what differs among pads."""
 
 
-class AugmentationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class AugmentationSettings(msgspec.Struct, frozen=True):
     """How far each property of a touch is varied; probabilities a window where nothing else is said."""
 
     published_framing: float = 0.25
@@ -68,19 +68,3 @@ class AugmentationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tr
     hum: float = 0.0
     """A motor or the mains: all taxels together, at 4 to 27 Hz as sampled."""
     hum_counts: float = 2.0
-    another_pad: float = 0.0
-    """Share of a fabric pad's windows that are changed to what another kind of pad would have read."""
-    rise_s: float = 0.25
-    """The longest time constant with which a soft pad follows rising pressure."""
-    fall_s: float = 1.5
-    """The same for falling pressure: silicone creeps back."""
-    coarse: float = 0.5
-    """Share of those windows whose pad also has fewer taxels, 4 to 7 a side, interpolated to 8."""
-    quiet: float = 0.0
-    """Share of a fabric pad's windows that are changed to what a pad without noise would have read."""
-    quiet_counts: float = 8.0
-    """The most that is taken off their counts, as noise."""
-    quiet_frames: int = 8
-    """The most frames over which they are averaged."""
-    mix: float = 0.0
-    """Share of windows into which up to half of another is mixed, label and all (mixup, Zhang 2018)."""

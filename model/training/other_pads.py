@@ -6,12 +6,12 @@ from torch.nn import functional
 
 from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
 from touchd.model.adapt.augment import chosen_of, uniform_of
-from touchd.model.settings import AugmentationSettings
+from touchd.model.training.settings import TrainAugmentation
 
 COARSE_SIDES = range(4, ROWS)
 
 
-def as_another_pad(counts: Tensor, settings: AugmentationSettings, rng: torch.Generator) -> Tensor:
+def as_another_pad(counts: Tensor, settings: TrainAugmentation, rng: torch.Generator) -> Tensor:
     """Return (B, T, 8, 8) counts, some windows as a softer, coarser pad would have read them."""
     if not settings.another_pad:
         return counts
@@ -33,7 +33,7 @@ def _coarse(device: torch.device) -> Tensor:
     return torch.stack(pads).reshape(len(COARSE_SIDES), ROWS * COLUMNS, ROWS * COLUMNS)
 
 
-def _creep(x: Tensor, settings: AugmentationSettings, rng: torch.Generator) -> Tensor:
+def _creep(x: Tensor, settings: TrainAugmentation, rng: torch.Generator) -> Tensor:
     """Return (B, T, 8, 8) followed by one pole, whose time constant differs for rise and fall."""
     rise_s, fall_s = uniform_of(rng, 2, len(x), 1, 1) ** 2
     rise = 1.0 - torch.exp(-1.0 / (FRAME_RATE_HZ * settings.rise_s * rise_s + 1e-3))
@@ -45,7 +45,7 @@ def _creep(x: Tensor, settings: AugmentationSettings, rng: torch.Generator) -> T
     return torch.stack(followed, dim=1)
 
 
-def as_quiet_pad(counts: Tensor, settings: AugmentationSettings, rng: torch.Generator) -> Tensor:
+def as_quiet_pad(counts: Tensor, settings: TrainAugmentation, rng: torch.Generator) -> Tensor:
     """Return (B, T, 8, 8) counts, some windows as a pad without noise would have read them."""
     if not settings.quiet:
         return counts

@@ -47,6 +47,27 @@ class Refinement(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Weight of how far answers about mixed windows move from those of the network begun from."""
 
 
+class TrainAugmentation(AugmentationSettings, frozen=True, forbid_unknown_fields=True):
+    """What training varies too; adapting does not, as a lab's own recordings show its pad."""
+
+    another_pad: float = 0.0
+    """Share of a fabric pad's windows that are changed to what another kind of pad would have read."""
+    rise_s: float = 0.25
+    """The longest time constant with which a soft pad follows rising pressure."""
+    fall_s: float = 1.5
+    """The same for falling pressure: silicone creeps back."""
+    coarse: float = 0.5
+    """Share of those windows whose pad also has fewer taxels, 4 to 7 a side, interpolated to 8."""
+    quiet: float = 0.0
+    """Share of a fabric pad's windows that are changed to what a pad without noise would have read."""
+    quiet_counts: float = 8.0
+    """The most that is taken off their counts, as noise."""
+    quiet_frames: int = 8
+    """The most frames over which they are averaged."""
+    mix: float = 0.0
+    """Share of windows into which up to half of another is mixed, label and all (mixup, Zhang 2018)."""
+
+
 class TrainSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Everything that determines a training's result, apart from data, code, and the networks beside it."""
 
@@ -74,4 +95,4 @@ class TrainSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     refined: Refinement | None = None
     """Train the encoder and the dense layers alone, on drawn windows. None: all layers."""
     network: NetworkSettings = NetworkSettings()
-    augmentation: AugmentationSettings = AugmentationSettings()
+    augmentation: TrainAugmentation = TrainAugmentation()

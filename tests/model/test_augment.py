@@ -13,8 +13,9 @@ from touchd.model.settings import AugmentationSettings
 from touchd.model.studies.checks.disturb import DISTURBANCES
 from touchd.model.studies.checks.hard_cases import checkerboard, hand
 from touchd.model.training.other_pads import as_another_pad, as_quiet_pad
+from touchd.model.training.settings import TrainAugmentation
 
-OFF = AugmentationSettings(
+OFF = TrainAugmentation(
     gain=0.0, gamma=0.0, taxel_gain=0.0, turn=0.0, shift=0.0, offset=0.0, noise_counts=0.0, dead_row=0.0
 )
 PRESSED = torch.full((32, 54, 8, 8), 100.0)
