@@ -1,7 +1,7 @@
 """Reads the pad during a recording and checks the result."""
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,7 +82,7 @@ class PadReader:
         self._model = model
         self._queue = FrameQueue()
         self._sensor = Sensor(sensor.port, sensor.baud, FrameParser(sensor.described), self._queue)
-        self._taxels = TaxelFaults()
+        self.taxels = TaxelFaults()
         self._block: list[Frame] = []
         self._away = ""
 
@@ -95,11 +95,6 @@ class PadReader:
 
     def __exit__(self, *_: object) -> None:
         self._sensor.stop()
-
-    @property
-    def troubles(self) -> list[str]:
-        """Current faults of taxels, in words."""
-        return list(self._taxels.found.values())
 
     def contact(self) -> "Contact":
         """Return what finds touches in the frames that come from now on; drop those that wait."""
@@ -132,7 +127,7 @@ class PadReader:
         """Look for taxels that stand still, a second at a time."""
         self._block.append(frame)
         if len(self._block) > FRAME_RATE_HZ:
-            self._taxels.update(self._block)
+            self.taxels.update(self._block)
             self._block = [frame]
 
     def _note(self, item: Frame | SensorState | None) -> None:
@@ -143,31 +138,30 @@ class PadReader:
 class Contact:
     """Tracks whether the pad is touched, as the daemon does; the first frames must show it at rest.
 
-    touch: first and last contact of the first touch that ended, by the pad's clock.
+    is_touched: now. touch: first and last contact of the first touch that ended, by the pad's clock.
     """
 
     def __init__(self, settings: PipelineSettings, model: Classifier) -> None:
         self._ring = Ring(1)
         self._tracker = tracker_of(settings, model, Detector.load())
         self._clock_ms: list[int] = []
-        self._is_touched = False
+        self.is_touched = False
         self.touch: tuple[int, int] | None = None
 
-    def update(self, frame: Frame) -> bool:
-        """Process the next frame; return whether the pad is touched."""
+    def update(self, frame: Frame) -> None:
+        """Process the next frame."""
         for laid in self._ring.push(frame):
             self._clock_ms.append(round(laid.sensor_ms) % CLOCK_MODULUS)
             match self._tracker.update(laid):
                 case Onset():
-                    self._is_touched = True
+                    self.is_touched = True
                 case Release(first, last):
-                    self._is_touched = False
+                    self.is_touched = False
                     self.touch = self.touch or (self._clock_ms[first], self._clock_ms[last])
-        return self._is_touched
 
 
-def complaints(capture: Capture, take: Take, troubles: list[str]) -> list[str]:
-    """Return reasons to repeat a recording, one line each; none if it is usable."""
+def complaints(capture: Capture, take: Take, troubles: Iterable[str]) -> list[str]:
+    """Return reasons to repeat a recording, one line each; none if it is usable. troubles: of taxels."""
     found = list(troubles)
     if take.is_single:
         if capture.touch is None:

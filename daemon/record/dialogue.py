@@ -128,28 +128,35 @@ class Dialogue:
         keys: list[str] = []
         with listening(keys.append), progress(self._console) as show:
 
-            def follow(step: str, seconds: float) -> Iterator[tuple[float, Frame, bool]]:
-                """Yield (seconds since the first frame, frame, whether touched) until the time is over."""
+            def follow(step: str, seconds: float) -> Iterator[tuple[float, Frame]]:
+                """Yield (seconds since the first frame, frame) until the time is over."""
                 for elapsed_s, frame in self._pad.follow(seconds):
                     if QUIT in map(str.lower, keys):
                         raise Stopped
-                    is_touched = contact.update(frame)
+                    contact.update(frame)
                     show(step, elapsed_s, seconds, frame.pressure)
-                    yield elapsed_s, frame, is_touched
+                    yield elapsed_s, frame
 
-            frames = [frame for _, frame, _ in follow(HANDS_OFF, COUNTDOWN_S)]
+            frames = [frame for _, frame in follow(HANDS_OFF, COUNTDOWN_S)]
             # For people who look at their hand rather than the screen.
             self._console.bell()
             if take.is_single:
                 # Not a touch that was over before it was asked for.
                 contact.touch = None
-                for _, frame, _ in follow(self._name(take), SINGLE_WITHIN_S):
+                for _, frame in follow(self._name(take), SINGLE_WITHIN_S):
                     frames.append(frame)
                     if contact.touch is not None:
                         break
                 capture = Capture(tuple(frames), touch=contact.touch)
             else:
-                capture = self._middle(list(follow(self._step(take), self._session.seconds + 2 * EDGE_S)))
+                stop_s = EDGE_S + self._session.seconds
+                middle = [
+                    (frame, contact.is_touched)
+                    for elapsed_s, frame in follow(self._step(take), stop_s + EDGE_S)
+                    if EDGE_S <= elapsed_s < stop_s
+                ]
+                saved, touched = zip(*middle, strict=True)
+                capture = Capture(saved, sum(touched) / len(touched))
         self._console.bell()
         return capture
 
@@ -158,16 +165,6 @@ class Dialogue:
         if take.gesture == NO_TOUCH:
             return HANDS_OFF
         return self._name(take) if self._session.names else f"{take.gesture} now"
-
-    def _middle(self, followed: list[tuple[float, Frame, bool]]) -> Capture:
-        """Return what is saved of a recording: all but a second at both ends."""
-        middle = [
-            (frame, is_touched)
-            for elapsed_s, frame, is_touched in followed
-            if EDGE_S <= elapsed_s < EDGE_S + self._session.seconds
-        ]
-        frames, touched = zip(*middle, strict=True)
-        return Capture(frames, sum(touched) / len(touched))
 
     def _choose(self, capture: Capture, take: Take) -> str:
         """Summarise a recording and ask what to do with it: keep, redo or skip."""
@@ -179,7 +176,7 @@ class Dialogue:
         self._print(
             f"  {len(capture.frames)} frames, {rate_hz:.1f} a second, peak {peak} counts, touched {touched}"
         )
-        found = complaints(capture, take, self._pad.troubles)
+        found = complaints(capture, take, self._pad.taxels.found.values())
         if not found and self._session.flowing:
             return "keep"
         for complaint in found:
