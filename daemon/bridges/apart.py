@@ -120,7 +120,7 @@ class ApartBridge(Bridge):
         return last
 
 
-def main(arguments: Sequence[str]) -> int:
+def main(arguments: Sequence[str]) -> None:
     """Publish for some pads the items that come, pickled, on standard input."""
     # Ignore signals to the process group: this process ends when the daemon closes its standard input.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -129,15 +129,12 @@ def main(arguments: Sequence[str]) -> int:
         _publish(_outlets(*arguments))
     # pylsl raises RuntimeError without liblsl, as on a processor that liblsl is not built for.
     except (ImportError, RuntimeError) as error:
-        sys.stderr.write(f"cannot be used on this machine ({' '.join(str(error).split())})\n")
-        return 1
+        sys.exit(f"cannot be used on this machine ({' '.join(str(error).split())})")
     except BridgeError as error:
-        sys.stderr.write(f"{error}\n")
-        return 1
+        sys.exit(str(error))
     except MemoryError:
         # Python may lack the memory to end in order.
         signal.raise_signal(signal.SIGKILL)
-    return 0
 
 
 def _outlets(library: str, domain: str, name: str, *pads: str) -> dict[str, Outlet]:
@@ -177,4 +174,4 @@ def _limit_memory() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    main(sys.argv[1:])

@@ -48,6 +48,9 @@ class MqttBridge(Bridge):
         self._settings = settings
         self._labels = labels
         self._topic = f"{name}/{pad}"
+        # With the topic, as each pad has a connection of its own.
+        where = f"{settings.host}:{settings.port} ({self._topic})"
+        super().__init__("mqtt", [pad], settings.pressure_hz, where)
         self._state, self._is_touched = "down", False
         # Held while the retained messages are published, so that the newest comes last.
         self._retaining = threading.Lock()
@@ -57,20 +60,11 @@ class MqttBridge(Bridge):
         self._client_id = own.replace("/", "_")
         # The first is tried next.
         self._versions = [MQTTProtocolVersion.MQTTv5, MQTTProtocolVersion.MQTTv311]
-        self._client: _Client | None = None
         # Raises what is wrong with the files now; each connection reads them again.
-        self._log_in(mqtt.Client(CallbackAPIVersion.VERSION2))
-        # With the topic, as each pad has a connection of its own.
-        where = f"{settings.host}:{settings.port} ({self._topic})"
-        super().__init__("mqtt", [pad], settings.pressure_hz, where)
+        self._client = self._new_client()
 
     def hold(self) -> str:
-        client = _Client(self._client_id, self._versions[0], self.limit, self._ending)
-        client.will_set(f"{self._topic}/state", LOST, qos=1, retain=True)
-        self._log_in(client)
-        client.on_connect = self._on_connect
-        client.on_publish = self._on_publish
-        client.on_message = self._on_message
+        client = self._new_client()
         client.connect(self._settings.host, self._settings.port, KEEPALIVE_S)
         self._client = client
         while client.loop() == MQTTErrorCode.MQTT_ERR_SUCCESS:
@@ -80,8 +74,29 @@ class MqttBridge(Bridge):
         return client.why
 
     def hang_up(self) -> None:
-        if self._client is not None:
-            self._client.disconnect()
+        self._client.disconnect()
+
+    def _new_client(self) -> "_Client":
+        """Return a client with the last will, the password and what TLS needs; raises BridgeError."""
+        client = _Client(self._client_id, self._versions[0], self.limit, self._ending)
+        client.on_connect = self._on_connect
+        client.on_publish = self._on_publish
+        client.on_message = self._on_message
+        client.will_set(f"{self._topic}/state", LOST, qos=1, retain=True)
+        settings = self._settings
+        if settings.user is not None:
+            file = settings.password_file
+            password = secret_in(file, "mqtt.password_file", BridgeError) if file else None
+            client.username_pw_set(settings.user, password)
+        if settings.tls:
+            file = settings.ca_file
+            try:
+                tls = ssl.create_default_context(cafile=str(written_out(file)) if file else None)
+            except OSError as error:
+                why = f"mqtt.ca_file: {file} cannot be used ({error}); give a file of PEM"
+                raise BridgeError(why) from error
+            client.tls_set_context(tls)
+        return client
 
     def note(self, event: Event) -> None:
         """Publish what is retained as it changes, even when the event itself has become stale."""
@@ -96,17 +111,17 @@ class MqttBridge(Bridge):
                 case TouchEnded():
                     self._is_touched = False
             # On the next connection it is published in any case.
-            if before != (self._state, self._is_touched) and self._peer_is_there.is_set() and self._client:
+            if before != (self._state, self._is_touched) and self._peer_is_there.is_set():
                 self._publish_values(self._client)
 
     def send_event(self, event: Event) -> bool:
         client = self._client
-        return client is not None and self._await(client, client.send(f"{self._topic}/event", encode(event)))
+        return self._await(client, client.send(f"{self._topic}/event", encode(event)))
 
     def send_frame(self, frame: Frame, pad: str) -> None:
         client = self._client
         # paho's own queue has no limit.
-        if client is None or len(client._out_packet) >= MOST_FRAMES:
+        if len(client._out_packet) >= MOST_FRAMES:
             self._items.dropped += 1
             return
         when = {"time": timestamp(arrival_s(frame)), "sensor_ms": frame.sensor_ms}
@@ -115,8 +130,8 @@ class MqttBridge(Bridge):
         )
 
     def close(self) -> None:
-        if self._peer_is_there.is_set() and (client := self._client):
-            self._state = STOPPED
+        if self._peer_is_there.is_set():
+            client, self._state = self._client, STOPPED
             self._await(client, self._publish_values(client))
         super().close()
 
@@ -167,22 +182,6 @@ class MqttBridge(Bridge):
             if client is not self._client or not self._peer_is_there.is_set():
                 break
         return False
-
-    def _log_in(self, client: mqtt.Client) -> None:
-        """Give a client the password and what TLS needs; raises BridgeError."""
-        settings = self._settings
-        if settings.user is not None:
-            file = settings.password_file
-            password = secret_in(file, "mqtt.password_file", BridgeError) if file else None
-            client.username_pw_set(settings.user, password)
-        if settings.tls:
-            file = settings.ca_file
-            try:
-                tls = ssl.create_default_context(cafile=str(written_out(file)) if file else None)
-            except OSError as error:
-                why = f"mqtt.ca_file: {file} cannot be used ({error}); give a file of PEM"
-                raise BridgeError(why) from error
-            client.tls_set_context(tls)
 
 
 class _Client(mqtt.Client):
