@@ -13,7 +13,7 @@ from functools import partial
 from typing import TypeAlias
 
 import msgspec
-from websockets.asyncio.server import ServerConnection, serve
+from websockets.asyncio.server import ServerConnection, broadcast, serve
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode
 
@@ -21,7 +21,7 @@ from touchd.daemon.app.config import LiveSettings, Settings
 from touchd.daemon.live.address import listen, own_names, urls_of
 from touchd.daemon.live.memory import Memory
 from touchd.daemon.live.page import Page
-from touchd.daemon.live.viewers import Connection, Viewers, take_label
+from touchd.daemon.live.viewers import MOST_VIEWERS, Connection, Viewers, take_label
 from touchd.daemon.path.events import Event, LivePrediction, RobotEvent
 from touchd.daemon.sinks.labels import Labeller
 from touchd.drivers.frame import DEFAULT_PAD, Frame
@@ -65,7 +65,7 @@ class LiveServer:
         self._is_touchable = touching is not None
         self._take_message = partial(take_label, labeller, self._pads) if labeller else touching
         self._page = Page(own_names(live))
-        self._viewers = Viewers(self._state)
+        self._viewers = Viewers()
         self._items: DroppingQueue[Item] = DroppingQueue(CAPACITY, _may_drop)
         self._is_woken = False
         self._is_stopping = False
@@ -155,9 +155,12 @@ class LiveServer:
 
     async def _watch(self, connection: ServerConnection) -> None:
         """Serve a viewer until it leaves; close its connection if it sends something unexpected."""
-        if not self._viewers.add(connection):
+        if len(self._viewers) >= MOST_VIEWERS:
             await connection.close(CloseCode.TRY_AGAIN_LATER, "too many are looking already")
             return
+        self._viewers.add(connection)
+        for state in self._state():
+            broadcast([connection], state)
         refused = ""
         try:
             with suppress(ConnectionClosed):

@@ -1,7 +1,7 @@
 """The viewers of the live page: limits of what they share with the daemon, and who may label touches."""
 
 import asyncio
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from ipaddress import IPv6Address
 from typing import Annotated, Any
 
@@ -56,41 +56,22 @@ class Connection(ServerConnection):
         super().connection_lost(exc)
 
 
-class Viewers:
+class Viewers(set[ServerConnection]):
     """Sends to all viewers; a slow one misses frames, one far behind is disconnected.
 
-    state: returns the whole state, one JSON text for each pad. Use in the event loop's thread only.
+    Use in the event loop's thread only.
     """
-
-    def __init__(self, state: Callable[[], list[str]]) -> None:
-        self._state = state
-        self._all: set[ServerConnection] = set()
-
-    def __len__(self) -> int:
-        return len(self._all)
-
-    def add(self, viewer: ServerConnection) -> bool:
-        """Add a viewer and send it the state; False when there are too many."""
-        if len(self._all) >= MOST_VIEWERS:
-            return False
-        self._all.add(viewer)
-        for state in self._state():
-            broadcast([viewer], state)
-        return True
-
-    def discard(self, viewer: ServerConnection) -> None:
-        self._all.discard(viewer)
 
     def tell(self, message: str) -> None:
         """Send a message that no viewer may miss."""
-        for viewer in [one for one in self._all if _waiting_bytes(one) > MOST_WAITING_BYTES]:
+        for viewer in [one for one in self if _waiting_bytes(one) > MOST_WAITING_BYTES]:
             viewer.transport.abort()
             self.discard(viewer)
-        broadcast(self._all, message)
+        broadcast(self, message)
 
     def show(self, message: str | bytes) -> None:
         """Send a message that a slow viewer may miss."""
-        broadcast((one for one in self._all if _waiting_bytes(one) <= MOST_WAITING_FRAMES), message)
+        broadcast((one for one in self if _waiting_bytes(one) <= MOST_WAITING_FRAMES), message)
 
 
 def _waiting_bytes(viewer: ServerConnection) -> int:
