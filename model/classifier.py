@@ -161,18 +161,15 @@ def load_own(path: Path) -> Classifier:
         if path.stat().st_size > MAX_FILE_BYTES:
             raise ModelError(f"{path}: larger than {MAX_FILE_BYTES >> 20} MiB; not a touchd model")
     classifier = Classifier.load(path)
-    _check_fit(path, classifier.metadata)
-    _try_out(path, classifier.metadata, classifier.session)
-    return classifier
-
-
-def _check_fit(path: Path, metadata: ModelMetadata) -> None:
+    metadata = classifier.metadata
     if metadata.frame_rate_hz != FRAME_RATE_HZ:
         raise ModelError(
             f"{path}: made for {metadata.frame_rate_hz} Hz, the pad is read at {FRAME_RATE_HZ} Hz"
         )
     if metadata.framing != "live":
         raise ModelError(f"{path}: made for {metadata.framing} framing; a pad sends live frames")
+    _try_out(path, metadata, classifier.session)
+    return classifier
 
 
 def _try_out(path: Path, metadata: ModelMetadata, session: onnxruntime.InferenceSession) -> None:
@@ -241,7 +238,5 @@ def digest_of(content: bytes) -> str:
 def _check_digest(path: Path, content: bytes) -> None:
     """Raise ModelError if the content does not match the digest file beside it, as after a bit flip."""
     beside = digest_file(path)
-    if not beside.exists():
-        return
-    if beside.read_text(errors="replace").strip() != digest_of(content):
+    if beside.exists() and beside.read_text(errors="replace").strip() != digest_of(content):
         raise ModelError(f"{path}: damaged, its CRC-32 is not that in {beside.name}; install touchd again")
