@@ -160,7 +160,7 @@ def served() -> Iterator["Served"]:
 @pytest.fixture(scope="module")
 def one_thread() -> Iterator[None]:
     """Run torch on one thread, so that its sums are reproducible."""
-    from touchd.model.adapt.optimise import one_torch_thread
+    from touchd.model.adapt.head import one_torch_thread
 
     with one_torch_thread():
         yield

@@ -23,16 +23,15 @@ from touchd.drivers.recording import Recording
 from touchd.drivers.whole_file import whole_file
 from touchd.model.adapt.backbone import CropFeatures, Remembered, WindowFeatures, crops, split, windows
 from touchd.model.adapt.folder import NO_LABELS, OutputError, check_output, model_name, read_all
-from touchd.model.adapt.head import AdaptSettings, fit, rebuilt
+from touchd.model.adapt.head import AdaptSettings, fit, one_torch_thread, rebuilt
 from touchd.model.adapt.measure import Comparison, Fold, Scored, compare, plan
-from touchd.model.adapt.optimise import one_torch_thread
 from touchd.model.classifier import METADATA_KEY, SHIPPED_MODEL, Classifier, ModelMetadata
 from touchd.model.settings import AugmentationSettings, NetworkSettings
 from touchd.model.tgc import TGC
 
 SETTINGS = AdaptSettings()
 # The sources that decide any training's result.
-SOURCES = ("adapt/augment.py", "adapt/optimise.py", "tgc.py", "settings.py")
+SOURCES = ("adapt/augment.py", "adapt/head.py", "tgc.py", "settings.py")
 # How much more `other` is rehearsed if nobody recorded it. After three people and a gesture of their own,
 # 41 % of others' touches that are none are still refused (44 before); without it 21 %.
 MORE_OTHER = 2

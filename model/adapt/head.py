@@ -7,7 +7,9 @@ rehearsal of other people. All three were chosen on the second study; see docs/a
 """
 
 import copy
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import cast
 
 import msgspec
@@ -17,10 +19,10 @@ from torch.nn import functional
 from torch.nn.utils import clip_grad_norm_, parameters_to_vector, vector_to_parameters
 
 from touchd.model.adapt.backbone import CropFeatures
-from touchd.model.adapt.optimise import GRADIENT_LIMIT, learning_rate_at
 
 # The class at lengths that a recording does not have.
 UNASKED = -1
+GRADIENT_LIMIT = 1.0
 
 
 class AdaptSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -94,6 +96,14 @@ def fit(
     return head
 
 
+def learning_rate_at(step: int, steps: int, peak: float) -> float:
+    """One-cycle schedule: linear warm-up over the first tenth, then cosine decay to zero (Smith 2018)."""
+    rise = max(1, steps // 10)
+    if step < rise:
+        return peak * (step + 1) / rise
+    return 0.5 * peak * (1.0 + math.cos(math.pi * (step - rise) / max(1, steps - rise)))
+
+
 def _loss(head: nn.Sequential, parts: Sequence[tuple[Tensor, ...]], settings: AdaptSettings) -> Tensor:
     """Return the mean cross entropy of drawn crops at the lengths that their recordings have."""
     values, classes = (torch.cat(part).flatten(0, 1) for part in zip(*parts, strict=True))
@@ -120,3 +130,14 @@ def _draw(
     crop = torch.randint(crops.values.shape[1], (count,), generator=rng)
     classes = torch.tensor([[labels.index(crops.gestures[i])] for i in chosen.tolist()])
     return crops.values[chosen, crop], torch.where(crops.within[chosen], classes, UNASKED)
+
+
+@contextmanager
+def one_torch_thread() -> Iterator[None]:
+    """Make PyTorch compute on one thread inside this context."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

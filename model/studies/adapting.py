@@ -13,9 +13,8 @@ from torch import nn
 from touchd.drivers.recording import Recording
 from touchd.model.adapt.adapt import Pretrained, logits
 from touchd.model.adapt.backbone import CropFeatures, WindowFeatures, windows
-from touchd.model.adapt.head import AdaptSettings, fit
+from touchd.model.adapt.head import AdaptSettings, fit, one_torch_thread
 from touchd.model.adapt.measure import Floats, mean_interval
-from touchd.model.adapt.optimise import one_torch_thread
 from touchd.model.classifier import SHIPPED_MODEL
 from touchd.model.studies.folders import STUDIES, folders_of, study_parser
 from touchd.model.studies.marked import fill, table

@@ -17,8 +17,7 @@ from torch import nn
 from touchd.drivers.recording import Recording
 from touchd.model.adapt.adapt import Pretrained, logits
 from touchd.model.adapt.backbone import windows
-from touchd.model.adapt.head import AdaptSettings, fit, rebuilt
-from touchd.model.adapt.optimise import one_torch_thread
+from touchd.model.adapt.head import AdaptSettings, fit, one_torch_thread, rebuilt
 from touchd.model.studies.adapting import networks
 from touchd.model.studies.folders import STUDIES, folders_of, study_parser
 from touchd.model.studies.marked import fill, percent, table

@@ -27,7 +27,7 @@ from rich.table import Table
 from torch import Tensor, nn
 
 from touchd.drivers.frame import COLUMNS, ROWS
-from touchd.model.adapt.optimise import one_torch_thread
+from touchd.model.adapt.head import one_torch_thread
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 from touchd.model.settings import LENGTHS
 from touchd.model.studies.challenge.hughes import AUTOENCODER_RNN, CNN, CRNN, HughesNetwork

@@ -19,7 +19,7 @@ from tqdm import tqdm
 from touchd.drivers.frame import OTHER
 from touchd.drivers.recording import Recording
 from touchd.model.adapt.adapt import code_version, data_hash
-from touchd.model.adapt.optimise import GRADIENT_LIMIT, learning_rate_at
+from touchd.model.adapt.head import GRADIENT_LIMIT, learning_rate_at
 from touchd.model.tgc import TGC
 from touchd.model.training import checkpoint
 from touchd.model.training.calibrate import IMPOSSIBLE

@@ -14,7 +14,7 @@ pytest.importorskip("torch", reason="needs the extra `train`")
 pytest.importorskip("sklearn", reason="needs the extra `studies`")
 
 from touchd.drivers.recording import Recording, ideal_clock_ms
-from touchd.model.adapt.optimise import one_torch_thread
+from touchd.model.adapt.head import one_torch_thread
 from touchd.model.studies.challenge import balli, features, gaus, hughes, ta, table
 from touchd.model.studies.challenge.table import (
     SYSTEMS,

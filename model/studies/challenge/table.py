@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from touchd.drivers.recording import Recording
-from touchd.model.adapt.optimise import one_torch_thread
+from touchd.model.adapt.head import one_torch_thread
 from touchd.model.classifier import Classifier
 from touchd.model.studies.challenge import balli, gaus, hughes, ta
 from touchd.model.studies.challenge.balli import SEARCH_TREES

@@ -141,7 +141,7 @@ def chunked(
 
 def stream(classifier: Classifier, reference: Reference, minutes: int) -> Iterator[float]:
     """Stream one long touch of all gestures; yield its deviation from float64 after each minute."""
-    from touchd.model.adapt.optimise import one_torch_thread
+    from touchd.model.adapt.head import one_torch_thread
 
     script = [(gesture, 60 / len(GESTURES)) for gesture in GESTURES]
     state, exact_state = None, reference.initial_state()

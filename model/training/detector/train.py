@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from touchd.drivers.frame import FRAME_RATE_HZ
 from touchd.drivers.whole_file import whole_file
-from touchd.model.adapt.optimise import GRADIENT_LIMIT, learning_rate_at
+from touchd.model.adapt.head import GRADIENT_LIMIT, learning_rate_at
 from touchd.model.detector import BEGIN_FRAMES, GOES_ON, LIKELY, REST_FRAMES, SHIPPED_DETECTOR, SURE
 from touchd.model.training.detector import signals
 from touchd.model.training.detector.network import DetectorNetwork
