@@ -135,7 +135,7 @@ class PadMonitor:
         self._is_untouched &= is_untouched
         if (frame.sensor_ms - self._block[0].sensor_ms) % CLOCK_MODULUS < CHECK_MS or len(self._block) < 3:
             return None
-        found = self._gaps() | self._restarts.check(passed(self._block))
+        found = self._gaps() | self._restarts.check(frame.host_s)
         if self._is_untouched:
             self._taxels.update(self._block)
         found |= self._taxels.found
@@ -151,7 +151,7 @@ class PadMonitor:
         if rate_hz < MIN_RATE_HZ - 0.5:
             why = f"{rate_hz:.1f} frames a second come, and {MIN_RATE_HZ:.0f} or more are needed, best "
             return {"gaps": FAULTS["gaps"].words.format(f"{why}{FRAME_RATE_HZ:.0f}")}
-        if self._without_gap < REST_FRAMES and self._without_gap < len(self._block) - 1:
+        if self._without_gap < min(REST_FRAMES, len(self._block) - 1):
             why = "frames come with gaps; are they lost on the way, or do two boards send there?"
             return {"gaps": FAULTS["gaps"].words.format(why)}
         return {}
@@ -186,16 +186,14 @@ class _Restarts:
     def __init__(self, parser: FrameParser | None) -> None:
         self._parser = parser
         self._seen = 0 if parser is None else parser.counts.restarts
-        self._now_s = 0.0
         self._at_s: deque[float] = deque([-math.inf] * OFTEN_RESTARTS, maxlen=OFTEN_RESTARTS)
 
-    def check(self, passed_s: float) -> dict[str, str]:
-        """Take how long frames took; return what is found."""
-        self._now_s += passed_s
+    def check(self, now_s: float) -> dict[str, str]:
+        """Take the host's time; return what is found."""
         if self._parser is not None and self._parser.counts.restarts != self._seen:
             self._seen = self._parser.counts.restarts
-            self._at_s.append(self._now_s)
-        is_often = max(self._at_s[-1] - self._at_s[0], self._now_s - self._at_s[-1]) <= 60.0
+            self._at_s.append(now_s)
+        is_often = max(self._at_s[-1] - self._at_s[0], now_s - self._at_s[-1]) <= 60.0
         return {"restarts": FAULTS["restarts"].words.format(OFTEN_RESTARTS)} if is_often else {}
 
 
