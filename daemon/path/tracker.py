@@ -283,8 +283,8 @@ class TouchTracker:
 
     def _is_still(self) -> bool:
         half = min(self._quiet_frames, SECOND_FRAMES) // 2
-        newer = self._recent[-half:].mean(axis=0)
-        return self._keeps_still(self._recent[-2 * half : -half].mean(axis=0), newer)
+        before, now = self._recent[-2 * half :].reshape(2, half, TAXELS).mean(axis=1)
+        return self._keeps_still(before, now)
 
     def _keeps_still(self, before: Taxels, now: Taxels) -> bool:
         allowed = np.maximum(STILL_SHARE * (now - self.rest), np.maximum(STILL_COUNTS, self.noise))
