@@ -27,7 +27,7 @@ CONNECT_S = 3.0
 ADDRESS = re.compile(r"(tcp|udp)://(\[[^\s\]]+\]|[^\s/:?]+)(?::(\d{0,5}))?")
 DEV = Path("/dev")
 # What an error number means for a port: the kind of fault, and words that follow the port's name.
-FAULTS = {
+FAULTS: dict[int | None, tuple[str, str]] = {
     errno.ENOENT: ("missing", "is not there"),
     errno.ENODEV: ("missing", "has no device any more"),
     errno.ENXIO: ("missing", "has no device any more"),
@@ -68,7 +68,7 @@ def sensor_error(port: str, error: Exception) -> SensorError:
     number = error.errno if isinstance(error, OSError) else None
     words = getattr(error, "strerror", None) or error
     other = "missing" if isinstance(error, OSError) and "://" in port else "unusable"
-    kind, what = FAULTS.get(number or 0, (other, f"cannot be opened: {words}"))
+    kind, what = FAULTS.get(number, (other, f"cannot be opened: {words}"))
     others = ", ".join(other_ports(port)) if kind == "missing" else ""
     return SensorError(kind, f"{port} {what}{others and f'; there is {others}'}", number)
 

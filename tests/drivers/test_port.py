@@ -139,6 +139,8 @@ def test_a_device_is_opened_for_this_program_alone(monkeypatch: pytest.MonkeyPat
         # A pseudo-terminal would stay closed to others after touchd was killed.
         with open_port(path, BAUD):
             assert not is_exclusive()
+            with pytest.raises(SensorError, match="is open in another program"):
+                open_port(path, BAUD)
         # Root may open an exclusive device all the same, so ask the kernel.
         monkeypatch.setattr(os.path, "realpath", lambda port: "/dev/ttyACM0" if port == path else port)
         with open_port(path, BAUD):
@@ -281,6 +283,13 @@ def test_a_pad_may_have_an_ipv6_address() -> None:
         with socket.socket(socket.AF_INET6, socket.SOCK_DGRAM) as sender:
             sender.sendto(PACKETS[0], ("::1", port))
         assert read_waiting(opened, FabricGrid()) == PACKETS[0]
+
+
+def test_an_ftdi_adapter_is_told_to_pass_bytes_on_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[bool] = []
+    monkeypatch.setattr(serial.Serial, "set_low_latency_mode", lambda _, is_on: asked.append(is_on))
+    with FakePort(stream_of(5), encode_fabric_grid) as port, open_port(port.path, BAUD):
+        assert asked == [True]
 
 
 def test_no_second_reader_takes_a_udp_pads_datagrams() -> None:

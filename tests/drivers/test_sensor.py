@@ -157,10 +157,10 @@ def assert_is_over(queue: FrameQueue, caplog: pytest.LogCaptureFixture, *levels:
 
 def test_a_silent_pad_is_down_until_it_sends_again(caplog: pytest.LogCaptureFixture) -> None:
     switch = Switch(encode_fabric_grid)
-    with FakePort(stream_of(), switch) as port, sensing(port.path) as queue:
+    with FakePort(stream_of(), switch) as port, sensing(port.path, silence_s=Sensor.silence_s) as queue:
         next_frames(queue, 5)
         switch.encode = silence
-        assert next_state(queue).reason.startswith(f"{port.path} at 512000 baud: no data for 0.5 s")
+        assert next_state(queue).reason.startswith(f"{port.path} at 512000 baud: no data for 2 s")
         switch.encode = encode_fabric_grid
         assert_is_over(queue, caplog, "INFO", "WARNING", "INFO")
     assert caplog.records[-1].message.startswith(f"frames arrive from {port.path} again; ")
@@ -279,15 +279,17 @@ def test_another_program_that_takes_bytes_is_reported_until_it_ends() -> None:
         next_frames(queue, 5)
         with subprocess.Popen([sys.executable, "-c", STEAL, port.path]) as process:
             try:
-                down = next_state(queue)
+                while isinstance(item := queue.get(WITHIN_S), Frame):
+                    last_s = item.host_s
             finally:
                 process.kill()
-        assert down.reason.startswith(
+        assert isinstance(item, SensorState)
+        assert item.reason.startswith(
             f"{port.path} is read by another program too, which takes bytes; end it; "
         )
         # The port stays open: opening it again would restart an Arduino.
         assert next_state(queue).state == "up"
-        next_frames(queue, 5)
+        assert next_frames(queue, 5)[0].host_s - last_s > 0.5
 
 
 def test_a_pad_that_comes_back_under_another_name_is_said(
