@@ -5,6 +5,7 @@ import os
 import re
 import socket
 import subprocess
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -19,7 +20,7 @@ from rigs.peers import PAD, broker, frame, needs_mosquitto, subscribed
 from rigs.running_daemon import Daemon
 from rigs.scripted_model import Scripted
 from rigs.sockets import free_port
-from rigs.wait import WITHIN_S, wait_for
+from rigs.wait import AT_ONCE_S, WITHIN_S, wait_for
 
 from touchd.daemon.app.config import Settings
 from touchd.daemon.app.parts import make_bridges
@@ -121,6 +122,7 @@ def test_the_state_is_retained_and_follows_the_pad(port: int, opened: Open) -> N
     wait_for(lambda: retained(port) == "up")
     bridge.stop(WITHIN_S)
     assert retained(port) == "stopped"
+    wait_for(lambda: "touchd-mqtt-link" not in {thread.name for thread in threading.enumerate()}, AT_ONCE_S)
 
 
 def test_a_daemon_that_is_killed_leaves_its_last_will(port: int, tmp_path: Path) -> None:
@@ -307,6 +309,24 @@ def test_a_broker_without_mqtt_5_gets_mqtt_3(port: int, messages: list[Any], ope
         put(opened(old), 1, messages)
 
 
+def test_an_event_that_is_acknowledged_late_comes_once(port: int, messages: list[Any], opened: Open) -> None:
+    is_slow: list[bool] = []
+
+    def delay(client: socket.socket, goes_on: Callable[[], bool]) -> None:
+        attackers.forward(client, port, goes_on, hold=lambda: bool(is_slow))
+
+    slow = free_port()
+    with attackers.server(slow, delay):
+        bridge = opened(slow)
+        put(bridge, 1, messages)
+        is_slow.append(True)
+        bridge.put(touch(2))
+        time.sleep(0.2)
+        is_slow.clear()
+        put(bridge, 3, messages)
+    assert [decode(text) for text in payloads(messages)] == [touch(1), touch(2), touch(3)]
+
+
 @pytest.mark.parametrize(
     ("greeting", "reason"),
     [
@@ -319,14 +339,16 @@ def test_a_broker_without_mqtt_5_gets_mqtt_3(port: int, messages: list[Any], ope
 def test_a_lost_broker_is_reported_with_its_reason(
     opened: Open, greeting: bytes, reason: str, caplog: pytest.LogCaptureFixture
 ) -> None:
-    port = free_port()
+    port, versions = free_port(), list[bytes]()
 
     def hang_up(client: Any, _goes_on: Callable[[], bool]) -> None:
-        client.recv(65536)
+        versions.append(client.recv(65536)[8:9])
         client.sendall(greeting)
 
     with attackers.server(port, hang_up):
         opened(port)
-        wait_for(lambda: "is away" in caplog.text)
+        wait_for(lambda: "is away" in caplog.text and len(versions) > 1)
     assert reason in caplog.text
     assert "Unspecified" not in caplog.text
+    # A broker that answers knows MQTT 5.
+    assert (versions[1] == b"\x05") is bool(greeting)

@@ -27,6 +27,7 @@ from rigs.wait import AT_ONCE_S, WITHIN_S
 from touchd.daemon.app.config import JournalSettings, PadSettings, SensorSettings, Settings
 from touchd.daemon.app.parts import PadChannel
 from touchd.daemon.app.systemd import Health
+from touchd.daemon.path import service as daemon_loop
 from touchd.daemon.path.events import Event, SensorEvent, TouchEnded, encode
 from touchd.daemon.path.service import Service
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
@@ -39,6 +40,7 @@ from touchd.drivers.robot.session import RobotSettings
 from touchd.model.studies.simulated import simulate
 
 UNITS = Path(__file__).parents[2] / "systemd"
+FRAME = Frame(0, 0.0, np.zeros((8, 8), np.uint16))
 
 
 @pytest.fixture
@@ -162,14 +164,34 @@ def test_dropped_frames_are_logged_until_the_queue_is_empty(caplog: pytest.LogCa
     service = Service(Settings(sensor=SensorSettings(port="/dev/nobody")))
     service.tell(LinesSink("stdout", os.open(os.devnull, os.O_WRONLY), encode))
     (pad,) = service.pads
-    rest = np.zeros((8, 8), np.uint16)
-    pad.queue.put_all(Frame(18 * number, 0.018 * number, rest) for number in range(600))
+    pad.queue.put_all([FRAME] * 600)
     service.run(lambda: True)
     begun, ended, in_all = (record.message for record in caplog.records if "dropped" in record.message)
     assert begun.startswith("pad: frames dropped: the machine is too busy")
     processed, _, dropped = re.findall(r"\d+", in_all)
     assert ended.startswith(f"pad: no frames are dropped any more; {dropped} were")
     assert int(processed) + int(dropped) == 600
+
+
+def test_an_overloaded_daemon_stops_in_time_and_counts_what_is_left(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+    monkeypatch.setattr("touchd.daemon.path.service.DRAIN_S", 0.2)
+    service = Service(Settings(sensor=SensorSettings(port="/dev/nobody"), journal=None))
+    (pad,) = service.pads
+    monkeypatch.setattr(pad.pipeline, "on_frame", lambda _: time.sleep(0.02))
+    pad.queue.put_all([FRAME] * 500)
+    service.run(lambda: True)
+    assert 0 < pad.frames <= 20
+    assert f"{pad.frames} frames, 0 touches, {500 - pad.frames} frames dropped in all" in caplog.text
+
+
+def test_its_own_limits_end_before_systemd_kills_it() -> None:
+    limit_s = re.search(r"^TimeoutStopSec=(\d+)$", (UNITS / "touchd.service").read_text(), re.MULTILINE)
+    assert limit_s is not None
+    limits_s = daemon_loop.SENSORS_STOP_S + daemon_loop.DRAIN_S + daemon_loop.SINKS_STOP_S
+    assert limits_s <= int(limit_s[1]) - 1
 
 
 @pytest.mark.parametrize(
@@ -201,6 +223,8 @@ class MeetingSink:
     def put(self, event: Event) -> None: ...
 
     def stop(self, timeout_s: float) -> None:
+        # Less than a second for the robot, and for the others.
+        assert 0.3 < timeout_s < 1.0
         if self._stopped:
             self._others.wait(AT_ONCE_S)
         self._stopped.append(self)
