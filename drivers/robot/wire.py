@@ -72,7 +72,7 @@ class WireSession:
                 raise ConnectionError("the login is refused")
 
     def connected(self) -> bool:
-        return self._line.fileno() != -1 and not self._ended.poll(0)
+        return not self._ended.poll(0)
 
     def call(self, service: str, method: str, *arguments: object, limit_s: float) -> object:
         try:
@@ -106,11 +106,12 @@ class WireSession:
         process = self._processes.get(port)
         if process is None or not process.connected():
             process = WireSession(self._settings, self._limits, self._stopping, port)
-            self._processes[port] = process
             try:
                 process.connect()
             except (RobotLost, RobotRefused) as error:
+                process.close()
                 raise RobotRefused(str(error)) from error
+            self._processes[port] = process
         return process
 
     def _ask(self, target: tuple[int, int, int], payload: bytes, returns: str, go_on: GoOn) -> Any:

@@ -229,9 +229,13 @@ def test_a_service_in_another_process_has_its_own_connection() -> None:
 
     port = free_port()
     directory = after_login(lambda sent: said(REPLY, sent[0], info(port)))
-    with server(port, by(other)), robot_of(directory, RobotLimits()) as robot:
+    with robot_of(directory, RobotLimits()) as robot:
         robot.connect()
-        robot.call("ALMemory", "raiseEvent", "Pad/Gesture", "pat", limit_s=5)
+        with pytest.raises(RobotRefused, match="Connection refused"):
+            robot.call("ALMemory", "raiseEvent", "Pad/Gesture", "pat", limit_s=5)
+        # Its process has started.
+        with server(port, by(other)):
+            robot.call("ALMemory", "raiseEvent", "Pad/Gesture", "pat", limit_s=5)
     assert asked == [AUTHENTICATE, (7, 1, 2), (7, 1, 100)]
 
 
