@@ -149,24 +149,18 @@ def _explained(error: Exception) -> tuple[str, int]:
         # An address that this computer does not have yet: systemd starts the service again.
         is_early = getattr(error.__cause__, "errno", None) == errno.EADDRNOTAVAIL
         return str(error), OUR_MISTAKE if is_early else USERS_MISTAKE
-    if what := _lacking(error):
-        return what, USERS_MISTAKE
+    if isinstance(error, ModuleNotFoundError) and (extra := extra_of(error.name or "")):
+        # As a comment: the line's end may be pasted into a shell.
+        size = f"  # {SIZES[extra]} on the disk" if extra in SIZES else ""
+        return f"{error.name} is not installed (extra {extra}): {how_to_install(extra)}{size}", USERS_MISTAKE
+    if isinstance(error, OSError) and error.errno in DISK_FULL:
+        discard_output()
+        return f"{error.filename or 'standard output'}: cannot be written ({error.strerror})", USERS_MISTAKE
+    if isinstance(error, OSError) and error.errno in (errno.EACCES, errno.ENAMETOOLONG):
+        advice = "give another path, or put sudo before the command"
+        return f"{error.filename}: {error.strerror}; {advice}", USERS_MISTAKE
     what = " ".join(f"internal error: {type(error).__name__}: {error}; --debug shows the trace".split())
     if os.environ.get("PYTHONPATH"):
         # Labs set it for ROS or NAOqi; it puts other versions of libraries before those installed.
         what += "; PYTHONPATH is set: try again after `unset PYTHONPATH`"
     return what, OUR_MISTAKE
-
-
-def _lacking(error: Exception) -> str:
-    """Return what the computer lacks: a library, space or permission; "" for any other error."""
-    if isinstance(error, ModuleNotFoundError) and (extra := extra_of(error.name or "")):
-        # As a comment: the line's end may be pasted into a shell.
-        size = f"  # {SIZES[extra]} on the disk" if extra in SIZES else ""
-        return f"{error.name} is not installed (extra {extra}): {how_to_install(extra)}{size}"
-    if isinstance(error, OSError) and error.errno in DISK_FULL:
-        discard_output()
-        return f"{error.filename or 'standard output'}: cannot be written ({error.strerror})"
-    if isinstance(error, OSError) and error.errno in (errno.EACCES, errno.ENAMETOOLONG):
-        return f"{error.filename}: {error.strerror}; give another path, or put sudo before the command"
-    return ""
