@@ -1,7 +1,6 @@
 """Parts of the view: the pad, words in large letters, the probabilities as bars, the time line of a touch."""
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
 from itertools import groupby
 from typing import NamedTuple
 
@@ -33,6 +32,10 @@ FIRM_COUNTS = 250.0
 # The page's dark theme, which rich turns into the terminal's colours; from no pressure to firm.
 HEAT = [parse_rgb_hex(colour) for colour in ("171c24", "42249a", "85248a", "d04361", "f9903f", "fdf4b5")]
 SHADES = 64
+COLOURS = [
+    blend_rgb(HEAT[int(at)], HEAT[min(int(at) + 1, len(HEAT) - 1)], at % 1).hex
+    for at in (np.arange(SHADES) / (SHADES - 1) * (len(HEAT) - 1)).tolist()
+]
 # Without colours.
 CHARACTERS = " ·:-=+*#%@"
 # The pixels of letters, row by row; a dot is empty.
@@ -76,28 +79,15 @@ def pad_picture(pressure: NDArray[np.float64], scale: int, console: Console) -> 
     if console.color_system is None or console.no_color:
         at = np.minimum((pixels[::2] * len(CHARACTERS)).astype(int), len(CHARACTERS) - 1)
         return [Text("".join(CHARACTERS[i] for i in row)) for row in at.tolist()]
-    shades = np.rint(pixels * (SHADES - 1)).astype(int).tolist()
-    return [_pad_line(*pair) for pair in zip(shades[::2], shades[1::2], strict=True)]
+    colours = [[COLOURS[shade] for shade in row] for row in np.rint(pixels * (SHADES - 1)).astype(int)]
+    return [_pad_line(*pair) for pair in zip(colours[::2], colours[1::2], strict=True)]
 
 
-def _pad_line(upper: Sequence[int], lower: Sequence[int]) -> Text:
+def _pad_line(upper: Sequence[str], lower: Sequence[str]) -> Text:
     line = Text()
     for pair, run in groupby(zip(upper, lower, strict=True)):
-        line.append("▀" * len(list(run)), _halves(*pair))
+        line.append("▀" * len(list(run)), Style.parse("{} on {}".format(*pair)))
     return line
-
-
-@cache
-def _halves(upper: int, lower: int) -> Style:
-    """Return the style of ▀ with one shade above another."""
-    return Style(color=_colour(upper), bgcolor=_colour(lower))
-
-
-def _colour(shade: int) -> str:
-    """Return a colour between those of HEAT. shade: below SHADES."""
-    at = shade / (SHADES - 1) * (len(HEAT) - 1)
-    stop = min(int(at), len(HEAT) - 2)
-    return blend_rgb(HEAT[stop], HEAT[stop + 1], at - stop).hex
 
 
 def _stretched(rows: NDArray[np.float64], scale: int) -> NDArray[np.float64]:
