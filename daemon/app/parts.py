@@ -168,6 +168,12 @@ def load_models(settings: Settings) -> dict[str, Classifier]:
     return models
 
 
+def load_model(settings: Settings) -> Classifier:
+    """Load the only pad's model; see `load_models`."""
+    (model,) = load_models(settings).values()
+    return model
+
+
 def check_scene(scene: SceneSettings, classifier: Classifier) -> None:
     """Raise ConfigError when a scene asks for gestures or lengths that the model or the scene rules out."""
     known = set(classifier.labels) - {NO_TOUCH}

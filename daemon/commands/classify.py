@@ -3,7 +3,8 @@
 import argparse
 import sys
 
-from touchd.daemon.commands.settings import add_settings, load_model, settings_of
+from touchd.daemon.app.parts import load_model
+from touchd.daemon.commands.settings import add_settings, settings_of
 from touchd.daemon.path.events import Event, encode
 from touchd.daemon.path.pipeline import Pipeline
 from touchd.daemon.playback.stream import add_arguments, chosen_stream, play

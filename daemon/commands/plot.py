@@ -7,7 +7,8 @@ from pathlib import Path
 
 from rich.console import Console
 
-from touchd.daemon.commands.settings import add_settings, load_model, settings_of
+from touchd.daemon.app.parts import load_model
+from touchd.daemon.commands.settings import add_settings, settings_of
 from touchd.daemon.playback.stream import add_arguments, chosen_stream
 from touchd.drivers.errors import one_line, os_errors_as
 from touchd.drivers.recording import SUFFIXES

@@ -5,7 +5,8 @@ from pathlib import Path
 
 from rich.console import Console
 
-from touchd.daemon.commands.settings import add_settings, load_model, settings_of
+from touchd.daemon.app.parts import load_model
+from touchd.daemon.commands.settings import add_settings, settings_of
 from touchd.daemon.record.capture import PadReader
 from touchd.daemon.record.dialogue import GESTURES, HOW, Dialogue
 from touchd.daemon.record.session import Session, Setting, ask_name, name

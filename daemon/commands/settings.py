@@ -3,7 +3,6 @@
 import argparse
 import os
 import sys
-import typing
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
@@ -12,9 +11,6 @@ import msgspec
 
 from touchd.daemon.app.config import ConfigError, SensorSettings, Settings, load
 from touchd.drivers.errors import PathError, written_out
-
-if typing.TYPE_CHECKING:
-    from touchd.model.classifier import Classifier
 
 NAME = "touchd.yaml"
 SERVICE_FOLDER = Path("/etc/touchd")
@@ -77,15 +73,6 @@ def settings_of(options: argparse.Namespace) -> Found:
     if options.config is None and (found.file or found.closed):
         sys.stderr.write(f"{found}\n")
     return found._replace(settings=only_pad(found.settings, options.pad, getattr(options, "port", None)))
-
-
-def load_model(settings: Settings) -> "Classifier":
-    """Load the only pad's model; see `load_models`."""
-    # Other commands need no network, which takes long to import.
-    from touchd.daemon.app.parts import load_models
-
-    (model,) = load_models(settings).values()
-    return model
 
 
 def only_pad(settings: Settings, name: str | None, port: str | None = None) -> Settings:

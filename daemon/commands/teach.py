@@ -8,8 +8,9 @@ from pathlib import Path
 from rich.console import Console
 
 from touchd.daemon.app.config import Settings
+from touchd.daemon.app.parts import load_model
 from touchd.daemon.commands.record import INCOMPLETE
-from touchd.daemon.commands.settings import SERVICE_FOLDER, add_settings, load_model, settings_of
+from touchd.daemon.commands.settings import SERVICE_FOLDER, add_settings, settings_of
 from touchd.daemon.record.capture import PadReader
 from touchd.daemon.record.dialogue import EDGE_S, GESTURES, HOW, HOW_ONCE, Dialogue
 from touchd.daemon.record.session import Session, Setting, ask_name, name

@@ -9,7 +9,7 @@ from contextlib import suppress
 import numpy as np
 
 from touchd.daemon.app.config import ConfigError, Settings
-from touchd.daemon.app.parts import load_models
+from touchd.daemon.app.parts import load_model
 from touchd.daemon.doctor.check import Check
 from touchd.drivers import hosts
 from touchd.drivers.errors import PathError
@@ -36,7 +36,7 @@ REACH_S = 2.0
 def check_model(settings: Settings) -> Check:
     """Load the model as the daemon does, and time its longest answer."""
     try:
-        (classifier,) = load_models(settings).values()
+        classifier = load_model(settings)
     except (ModelError, PathError, ConfigError) as error:
         shipped = "leave model out of the settings to use the shipped one"
         return Check("model", "to do", str(error), "" if isinstance(error, ConfigError) else shipped)

@@ -33,9 +33,8 @@ from rigs.sockets import free_port
 from rigs.stub_robot import StubRobot
 
 from touchd.daemon.app.config import LiveSettings, Settings
-from touchd.daemon.app.parts import make_bridges
+from touchd.daemon.app.parts import load_model, make_bridges
 from touchd.daemon.bridges.settings import MqttSettings
-from touchd.daemon.commands.settings import load_model
 from touchd.daemon.live.server import LiveServer
 from touchd.daemon.path.events import Event, TouchEnded, encode
 from touchd.daemon.path.pipeline import Pipeline

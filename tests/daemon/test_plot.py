@@ -17,8 +17,8 @@ from rigs.programs import TOUCHD, ran
 
 from touchd.daemon.app import cli
 from touchd.daemon.app.config import Settings
+from touchd.daemon.app.parts import load_model
 from touchd.daemon.commands.plot import picture_of
-from touchd.daemon.commands.settings import load_model
 from touchd.daemon.playback.stream import with_quiet
 from touchd.daemon.plot.plot import OTHER_COLOURS, PlotError, Trace, colours_of, draw_recording, trace
 from touchd.drivers.recording import UNLABELLED, Recording, Stream, splice

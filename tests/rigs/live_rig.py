@@ -13,7 +13,7 @@ from rigs.wait import AT_ONCE_S, WITHIN_S
 from websockets.sync.client import ClientConnection, connect
 
 from touchd.daemon.app.config import LiveSettings, Settings
-from touchd.daemon.commands.settings import load_model
+from touchd.daemon.app.parts import load_model
 from touchd.daemon.live.server import LiveServer, encode_frame
 from touchd.daemon.path.events import Event
 from touchd.daemon.sinks.labels import Labeller
