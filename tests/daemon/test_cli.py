@@ -9,6 +9,7 @@ import threading
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -262,19 +263,19 @@ def test_an_unusable_setting_is_refused_in_one_line(
     assert set(threading.enumerate()) == threads
 
 
+def own_model(**metadata: Any) -> Classifier:
+    shipped = Classifier.load()
+    return replace(shipped, metadata=msgspec.structs.replace(shipped.metadata, **metadata))
+
+
 def test_a_scene_that_acts_on_other_fits_a_model_without_it() -> None:
     rule = ActionRule(do=(Action(say="Ouch"),), gestures=("other",))
-    classifier = Classifier.load()
-    labels = tuple(label for label in classifier.labels if label != "other")
-    own = replace(classifier, metadata=msgspec.structs.replace(classifier.metadata, labels=labels))
-    check_scene(SceneSettings(gestures=("pat",), actions=(rule,)), own)
+    check_scene(SceneSettings(gestures=("pat",), actions=(rule,)), own_model(labels=("notouch", "pat")))
 
 
 def test_marks_beyond_the_models_longest_window_are_refused() -> None:
-    classifier = Classifier.load()
-    short = replace(classifier, metadata=msgspec.structs.replace(classifier.metadata, max_length=100))
     with pytest.raises(ConfigError, match="144 is more than the 100 frames that the model"):
-        check_scene(SceneSettings(), short)
+        check_scene(SceneSettings(), own_model(max_length=100))
 
 
 def test_classify_writes_the_events_as_json_lines(capfd: pytest.CaptureFixture[str]) -> None:
