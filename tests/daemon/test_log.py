@@ -17,15 +17,17 @@ from touchd.drivers.errors import MAX_LINE_BYTES, one_line
 HOSTILE = "one\nERROR root: forged\r\x1b]0;title\x07\x1b[2J\u202egnp.exe\x00\ud800\x9b31m"
 
 
-def write(fd: int, *records: logging.LogRecord) -> None:
-    """Write records as the daemon's log does, and close the file."""
-    lines = LogLines(fd)
+def written(reader: int, writer: int, *records: logging.LogRecord) -> list[str]:
+    """Write records to a pipe as the daemon's log does; return the lines that come out."""
+    lines = LogLines(writer)
     handler = LogHandler(lines.put)
     for each in records:
         handler.handle(each)
     lines.start()
     lines.stop(WITHIN_S)
-    os.close(fd)
+    os.close(writer)
+    with open(reader, encoding="utf-8") as file:
+        return file.read().removesuffix("\n").split("\n")
 
 
 def test_foreign_text_is_printable_and_short() -> None:
@@ -37,10 +39,7 @@ def test_foreign_text_is_printable_and_short() -> None:
 
 
 def test_every_written_line_has_passed_the_gate() -> None:
-    reader, writer = os.pipe()
-    write(writer, *(record("closed: %s", HOSTILE) for _ in range(MOST_LINES + 1)))
-    with open(reader, encoding="utf-8") as file:
-        lines = file.read().removesuffix("\n").split("\n")
+    lines = written(*os.pipe(), *(record("closed: %s", HOSTILE) for _ in range(MOST_LINES + 1)))
     assert len(lines) == MOST_LINES
     assert all(line.startswith("WARNING library: closed: one") and line.isprintable() for line in lines)
 
@@ -51,13 +50,8 @@ def test_systemds_journal_gets_the_level_of_each_line(monkeypatch: pytest.Monkey
     monkeypatch.setenv("JOURNAL_STREAM", f"{status.st_dev}:{status.st_ino}")
     failed = record("failed", line=2, level=logging.ERROR)
     failed.exc_info = (OSError, OSError("gone"), None)
-    write(writer, record("ready", level=logging.INFO), failed)
-    with open(reader, encoding="utf-8") as file:
-        assert file.read().splitlines() == [
-            "<6>INFO library: ready",
-            "<3>ERROR library: failed",
-            "<3>  OSError: gone",
-        ]
+    lines = written(reader, writer, record("ready", level=logging.INFO), failed)
+    assert lines == ["<6>INFO library: ready", "<3>ERROR library: failed", "<3>  OSError: gone"]
 
 
 def test_a_command_that_fails_under_systemd_says_its_level() -> None:
@@ -125,9 +119,6 @@ def test_debugging_is_not_limited() -> None:
 
 def test_lines_of_the_log_that_nobody_read_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(LinesSink, "capacity", 3)
-    reader, writer = os.pipe()
-    write(writer, *(record(f"line {number}", line=number) for number in range(10)))
-    with open(reader) as file:
-        lines = [line.partition(": ")[2] for line in file.read().splitlines()]
+    lines = written(*os.pipe(), *(record(f"line {number}", line=number) for number in range(10)))
     gap = "7 lines of the log were dropped: nobody read them"
-    assert lines == [gap, "line 7", "line 8", "line 9"]
+    assert [line.partition(": ")[2] for line in lines] == [gap, "line 7", "line 8", "line 9"]

@@ -42,6 +42,16 @@ def demo() -> Trace:
     return traced(splice(recordings()))
 
 
+def drawn_as(demo: Trace, gesture: str, title: str) -> Figure:
+    """Draw the demo as if its touches had been recorded as another gesture."""
+    spans = tuple(
+        span if span.gesture == "notouch" else dataclasses.replace(span, gesture=gesture)
+        for span in demo.stream.spans
+    )
+    stream = dataclasses.replace(demo.stream, spans=spans)
+    return draw_recording(dataclasses.replace(demo, stream=stream), title)
+
+
 def words(figure: Figure) -> list[str]:
     """Return all text in a figure."""
     return [text.get_text() for text in figure.findobj(Text)]
@@ -74,14 +84,8 @@ def test_time_continues_when_the_pads_clock_restarts() -> None:
 
 @pytest.mark.parametrize(("gesture", "is_red"), [("purr", True), (UNLABELLED, False)])
 def test_an_answer_is_wrong_only_where_labels_exist(demo: Trace, gesture: str, is_red: bool) -> None:
-    spans = demo.stream.spans
-    labelled = tuple(
-        span if span.gesture == "notouch" else dataclasses.replace(span, gesture=gesture) for span in spans
-    )
-    figure = draw_recording(
-        dataclasses.replace(demo, stream=dataclasses.replace(demo.stream, spans=labelled)), "a title"
-    )
-    assert ("#c00000" in {text.get_color() for text in figure.findobj(Text)}) == is_red
+    texts = drawn_as(demo, gesture, "a title").findobj(Text)
+    assert ("#c00000" in {text.get_color() for text in texts}) == is_red
 
 
 def test_every_answer_stands_at_its_mark(demo: Trace) -> None:
@@ -106,10 +110,7 @@ def test_every_answer_stands_at_its_mark(demo: Trace) -> None:
 
 
 def test_a_name_like_a_formula_is_drawn_as_it_is(demo: Trace) -> None:
-    spans = tuple(dataclasses.replace(span, gesture="$x_{$") for span in demo.stream.spans)
-    figure = draw_recording(
-        dataclasses.replace(demo, stream=dataclasses.replace(demo.stream, spans=spans)), "a $\\title$"
-    )
+    figure = drawn_as(demo, "$x_{$", "a $\\title$")
     figure.draw_without_rendering()
     assert {"a $\\title$", "$x_{$"} <= set(words(figure))
 
