@@ -135,10 +135,9 @@ class RobotLink(Worker):
         for pad in self._pads.values():
             found = self._memory(session, "getData", f"{pad.prefix}/Status")
             if found != pad.sent:
-                pad.foreign = found
-                pad.sent = "down" if found == "down" else pad.sent
                 what = f"another touchd writes {pad.prefix}/Status; give one of them robot.prefix"
                 self._faults.begin("shared", what)
+                pad.foreign, pad.sent = found, "down" if found == "down" else pad.sent
 
     def end(self, session: RobotSession) -> None:
         """Remove every gesture, and set every status to down unless another touchd has it up."""
