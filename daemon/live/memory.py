@@ -1,7 +1,6 @@
 """The state of the live page, for viewers who connect later."""
 
 from collections import deque
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -50,20 +49,12 @@ class Memory(Latest):
         span_s = recent[-1].host_s - recent[0].host_s if recent else 0.0
         return round((len(recent) - 1) / span_s, 1) if span_s > 0.0 else 0.0
 
-    def state(self, page: str, pad: str, pads: Sequence[str], touchable: bool = False) -> dict[str, object]:
-        """Return what a page gets when it connects or has fallen far behind.
-
-        page: stamp of the page's files; a page with another stamp reloads. pad: the name of this pad.
-        touchable: whether viewers can touch the pad.
-        """
+    def state(self) -> dict[str, object]:
+        """Return what a page gets of this pad when it connects or has fallen far behind."""
         settings, model = self._settings, self._model
         scene, labels = settings.scene, model.labels if model else ()
         words = words_of(settings)
         return {
-            "type": "state",
-            "page": page,
-            "pad": pad,
-            "pads": pads,
             # In the order of the probabilities.
             "labels": labels,
             "answer_at_frames": scene.answer_at_frames,
@@ -84,7 +75,6 @@ class Memory(Latest):
             "reported": list(self._reported),
             # Each taxel's reading before the last touch.
             "rest": self._rest,
-            "touchable": touchable,
             "may_label": settings.live is not None and settings.live.label,
             "said": self.labels,
         }

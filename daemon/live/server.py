@@ -205,8 +205,15 @@ class LiveServer:
                 self._viewers.tell(encode_message(item))
 
     def _state(self) -> list[str]:
-        stamp, pads = self._page.stamp, list(self._pads)
-        return [encode_message(self._pads[pad].state(stamp, pad, pads, self._is_touchable)) for pad in pads]
+        """Return the state of each pad."""
+        common: dict[str, object] = {
+            "type": "state",
+            # A page with another stamp of its files reloads.
+            "page": self._page.stamp,
+            "pads": list(self._pads),
+            "touchable": self._is_touchable,
+        }
+        return [encode_message(common | {"pad": name} | pad.state()) for name, pad in self._pads.items()]
 
 
 def _may_drop(item: Item) -> bool:

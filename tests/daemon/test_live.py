@@ -96,7 +96,7 @@ def test_the_memory_for_late_viewers_is_bounded(served: Served) -> None:
         memory.put(TouchBegan(touch=touch, time=TIME, sensor_ms=0))
         for _ in range(2 * PREDICTIONS):
             memory.put(msgspec.structs.replace(PREDICTION, touch=touch))
-    touches: Any = memory.state("", "pad", ["pad"])["touches"]
+    touches: Any = memory.state()["touches"]
     assert [found.began.touch for found in touches] == list(range(2 * TOUCHES, 3 * TOUCHES))
     assert {len(found.predictions) for found in touches} == {PREDICTIONS}
 
