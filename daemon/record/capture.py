@@ -11,6 +11,7 @@ from touchd.daemon.path.monitor import TaxelFaults
 from touchd.daemon.path.pipeline import PipelineSettings, tracker_of
 from touchd.daemon.path.tracker import Onset, Release
 from touchd.daemon.record.session import Setting, Take
+from touchd.daemon.sinks.touch_store import around_touch
 from touchd.drivers.frame import CLOCK_MODULUS, FRAME_RATE_HZ, MIN_RATE_HZ, NO_TOUCH, Frame, SensorState
 from touchd.drivers.pace import clock_ms, pace_of
 from touchd.drivers.pad.grid import Ring
@@ -27,8 +28,6 @@ RESTARTED_MS = 1000
 MOST_LOST_SHARE = 0.02
 LEAST_TOUCHED_SHARE = 0.5
 SINGLE_WITHIN_S, LONGEST_SINGLE_S = 8.0, 2.0
-# Rest before a single touch that is kept.
-LEAD_MS = 1000
 NO_FRAME = "no frames arrive: is the pad plugged in and running?"
 
 
@@ -56,18 +55,10 @@ class Capture:
 
         Of a gesture made once: the rest before, the touch, and the rest after, as the daemon saves a touch.
         """
-        counts = np.stack([frame.pressure for frame in self.frames])
-        clock = clock_ms(self.frames)
-        parts = [(gesture, 0, len(clock))]
         if self.touch is not None:
-            first_ms, last_ms = (clock[0] + (ms - clock[0]) % CLOCK_MODULUS for ms in self.touch)
-            start, first, after = np.searchsorted(clock, (first_ms - LEAD_MS, first_ms, last_ms + 1))
-            parts = [(NO_TOUCH, start, first), (gesture, first, after), (NO_TOUCH, after, len(clock))]
-        return [
-            Recording(*setting, name, counts[begin:stop], clock[begin:stop], "live")
-            for name, begin, stop in parts
-            if begin < stop
-        ]
+            return around_touch(self.frames, self.touch, setting, gesture)
+        counts = np.stack([frame.pressure for frame in self.frames])
+        return [Recording(*setting, gesture, counts, clock_ms(self.frames), "live")]
 
 
 class PadReader:

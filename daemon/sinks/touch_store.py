@@ -14,7 +14,7 @@ import logging
 import os
 import re
 from collections import defaultdict, deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib import metadata
@@ -58,32 +58,38 @@ class EndedTouch:
     frames: tuple[Frame, ...]
 
     def recordings(self) -> list[Recording]:
-        """Return the rest before it, the touch from its first frame to its last contact, the quiet after it.
-
-        The rest lasts at most LEAD_MS. There is quiet only if the touch was released, and not if it was lost
-        or taken for the pad's rest.
-        """
-        assert self.ended.sensor_ms is not None, "the touch had a last contact"
-        clock = clock_ms(self.frames)
-        first_ms, last_ms = (
-            clock[0] + _ms_since(self.frames[0], ms) for ms in (self.began.sensor_ms, self.ended.sensor_ms)
-        )
-        rest, first, stop = np.searchsorted(clock, (first_ms - LEAD_MS, first_ms, last_ms + 1))
-        stop = max(first + 1, stop)
-        end = len(self.frames) if self.ended.reason == "released" else stop
+        """Return the touch and what is around it; no quiet if it was lost or taken for the pad's rest."""
+        first_ms, last_ms = self.began.sensor_ms, self.ended.sensor_ms
+        assert last_ms is not None, "the touch had a last contact"
         tags = {} if self.began.tags is UNSET else self.began.tags
         participant, substrate, cover = (tags.get(key, UNLABELLED) for key in KEYS[:3])
-        counts = np.stack([frame.pressure for frame in self.frames])
-        pieces = (
-            (NO_TOUCH, slice(rest, first)),
-            (UNLABELLED, slice(first, stop)),
-            (NO_TOUCH, slice(stop, end)),
-        )
-        return [
-            Recording(participant, substrate, cover, gesture, counts[piece], clock[piece], "live")
-            for gesture, piece in pieces
-            if len(clock[piece])
-        ]
+        who, is_released = (participant, substrate, cover), self.ended.reason == "released"
+        return around_touch(self.frames, (first_ms, last_ms), who, UNLABELLED, is_released)
+
+
+def around_touch(
+    frames: Sequence[Frame],
+    touch_ms: tuple[int, int],
+    who: tuple[str, str, str],
+    gesture: str,
+    is_released: bool = True,
+) -> list[Recording]:
+    """Return the rest before a touch, of at most LEAD_MS, the touch itself, and the quiet if it was released.
+
+    touch_ms: first and last contact, by the sensor's clock. who: participant, substrate and cover.
+    """
+    counts = np.stack([frame.pressure for frame in frames])
+    clock = clock_ms(frames)
+    first_ms, last_ms = (clock[0] + _ms_since(frames[0], ms) for ms in touch_ms)
+    rest, first, after = np.searchsorted(clock, (first_ms - LEAD_MS, first_ms, last_ms + 1))
+    after = max(first + 1, after)
+    end = len(frames) if is_released else after
+    parts = ((NO_TOUCH, rest, first), (gesture, first, after), (NO_TOUCH, after, end))
+    return [
+        Recording(*who, name, counts[begin:stop], clock[begin:stop], "live")
+        for name, begin, stop in parts
+        if begin < stop
+    ]
 
 
 @dataclass(frozen=True, order=True)
