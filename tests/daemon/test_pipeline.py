@@ -7,6 +7,7 @@ from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -522,6 +523,7 @@ def test_a_revision_that_comes_too_late_is_not_told(late_s: float, is_told: bool
         pytest.param([0.1] * 54, 0.0, id="in time"),
         pytest.param([*[0.1] * 54, 3.1], 3.0, id="held up"),
         pytest.param([0.6, *[0.1] * 54, 3.1], 3.0, id="held up, after a late beginning"),
+        pytest.param([*[0.1] * 54, *np.linspace(3.1, 0.1, 163)], 0.0, id="in time again"),
         pytest.param(np.linspace(0.0, 5.0, 5400), 0.0, id="by a slow clock"),
         pytest.param(np.linspace(5.0, 0.0, 5400), 0.0, id="by a fast clock"),
         pytest.param([*[0.1] * 54, *[1.1] * 1350], 0.5, id="late for half a minute"),
@@ -535,6 +537,10 @@ def test_a_frame_is_as_old_as_it_was_held_up(lags_s: Sequence[float], age_s: flo
         frame = GridFrame(number, 1000 * sent_s, sent_s + lag_s, np.zeros((8, 8), np.float32), False, False)
         staleness.update(frame)
     assert staleness.age_s(frame, frame.host_s) == pytest.approx(age_s, abs=0.01)
+    # After a reset of the board its clock restarts, but its frames are not older.
+    restarted = msgspec.structs.replace(frame, sensor_ms=0.0)
+    staleness.update(restarted)
+    assert staleness.age_s(restarted, frame.host_s) == pytest.approx(0.0)
     staleness.forget()
     assert staleness.age_s(frame, frame.host_s + 100.0) == 0.0
 

@@ -21,13 +21,11 @@ from touchd.daemon.app import cli
 from touchd.daemon.app.config import SensorSettings, Settings
 from touchd.daemon.path.events import Event, Prediction, TouchEnded
 from touchd.daemon.path.pipeline import Clock, Pipeline, PipelineSettings
-from touchd.daemon.path.staleness import Staleness
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
 from touchd.daemon.sinks.journal import Journal
 from touchd.daemon.sinks.touch_store import TouchStore, kept_touches
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import Frame
-from touchd.drivers.pad.grid import GridFrame
 
 PING = b"\x89\xbc" + bytes(4) + bytes(60)
 EMPTY_TEXT = b"\x01\x80" + bytes(4)
@@ -134,19 +132,3 @@ def test_a_pad_played_at_half_speed_is_not_late() -> None:
     answers = Line(speed=0.5).feel(nothing(1.5), *[palm(1.2), nothing(1.5)] * 5)
     assert all(answer.age_ms < 1000 for answer in answers)
     assert any(answer.told for answer in answers)
-
-
-def test_a_lasting_delay_is_forgotten_within_fifty_times_its_length() -> None:
-    staleness = Staleness()
-
-    def played(first_s: float, last_s: float, late_s: float) -> float:
-        for pad_s in np.arange(first_s, last_s, 1 / 54):
-            frame = GridFrame(0, 1000.0 * pad_s, pad_s + late_s, np.zeros((8, 8), np.float32), False, False)
-            staleness.update(frame)
-        return staleness.age_s(frame, frame.host_s)
-
-    assert played(0.0, 2.0, 0.0) == pytest.approx(0.0, abs=1e-6)
-    assert played(2.0, 7.0, 1.0) == pytest.approx(0.9, abs=0.01)
-    assert played(7.0, 60.0, 1.0) == pytest.approx(0.0, abs=1e-6)
-    # After a reset of the board its clock restarts, but its frames are not older.
-    assert played(0.5, 1.0, 60.0) == pytest.approx(0.0, abs=1e-6)
