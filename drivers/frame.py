@@ -40,6 +40,12 @@ class Frame(msgspec.Struct, frozen=True, eq=False):
     pressure: Counts
 
 
+def ms_between(earlier_ms: int, later_ms: int) -> int:
+    """Return the ms from one time of the sensor's clock, which wraps, to another; negative if backwards."""
+    half = CLOCK_MODULUS // 2
+    return (later_ms - earlier_ms + half) % CLOCK_MODULUS - half
+
+
 @dataclass
 class ProtocolCounts:
     """What a parser delivered and refused since it was made.

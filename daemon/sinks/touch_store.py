@@ -29,7 +29,7 @@ from touchd.daemon.sinks.sink import QueuedSink
 from touchd.daemon.sinks.touches import TouchKey, read_labels
 from touchd.drivers.errors import os_errors_as
 from touchd.drivers.faults import FaultLog
-from touchd.drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, NO_TOUCH, Frame
+from touchd.drivers.frame import DEFAULT_PAD, FRAME_RATE_HZ, NO_TOUCH, Frame, ms_between
 from touchd.drivers.pace import clock_ms
 from touchd.drivers.pad.port import at_baud
 from touchd.drivers.recording import KEYS, SUFFIX, UNLABELLED, Recording, RecordingError, write_recordings
@@ -39,7 +39,6 @@ log = logging.getLogger(__name__)
 
 FOLDER_MODE = 0o750
 TOUCHES = ".touches"
-HALF_CLOCK = CLOCK_MODULUS // 2
 NAME = re.compile(r"(\d{4}-\d\d-\d\dT\d\d)-(\d\d)-(\d\d\.\d{3}Z)-(\d+)-(\d+)" + re.escape(SUFFIX))
 LEAD_MS = 1000
 # Frames further apart than this are not contiguous.
@@ -80,7 +79,7 @@ def around_touch(
     """
     counts = np.stack([frame.pressure for frame in frames])
     clock = clock_ms(frames)
-    first_ms, last_ms = (clock[0] + _ms_since(frames[0], ms) for ms in touch_ms)
+    first_ms, last_ms = (clock[0] + ms_between(frames[0].sensor_ms, ms) for ms in touch_ms)
     rest, first, after = np.searchsorted(clock, (first_ms - LEAD_MS, first_ms, last_ms + 1))
     after = max(first + 1, after)
     end = len(frames) if is_released else after
@@ -263,11 +262,11 @@ class _PadFrames:
         self._is_cut = False
 
     def take(self, frame: Frame) -> None:
-        if self._recent and not 0 <= _ms_since(self._recent[-1], frame.sensor_ms) <= CUT_MS:
+        if self._recent and not 0 <= ms_between(self._recent[-1].sensor_ms, frame.sensor_ms) <= CUT_MS:
             self._recent.clear()
             self._is_cut = True
         self._recent.append(frame)
-        while _ms_since(self._recent[0], frame.sensor_ms) > RECENT_MS:
+        while ms_between(self._recent[0].sensor_ms, frame.sensor_ms) > RECENT_MS:
             self._recent.popleft()
         if self._began is not None and not self._is_cut and len(self._frames) < LONGEST_FRAMES:
             self._frames.append(frame)
@@ -280,14 +279,9 @@ class _PadFrames:
         began, frames = self._began, tuple(self._frames)
         self._began, self._frames = None, []
         # They are no rest before the next touch.
-        while self._recent and _ms_since(self._recent[0], last_ms) >= 0:
+        while self._recent and ms_between(self._recent[0].sensor_ms, last_ms) >= 0:
             self._recent.popleft()
         return EndedTouch(began, event, frames) if began and frames else None
-
-
-def _ms_since(frame: Frame, sensor_ms: int) -> int:
-    """Return how long after a frame the clock, which wraps, shows this; negative if that was before it."""
-    return (sensor_ms - frame.sensor_ms + HALF_CLOCK) % CLOCK_MODULUS - HALF_CLOCK
 
 
 def keep_touches(settings: Settings) -> TouchSink:

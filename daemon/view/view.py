@@ -43,7 +43,7 @@ from touchd.daemon.view.elements import (
     pad_picture,
     time_line,
 )
-from touchd.drivers.frame import CLOCK_MODULUS, COLUMNS, DEFAULT_PAD, FRAME_RATE_HZ, ROWS, Frame
+from touchd.drivers.frame import COLUMNS, DEFAULT_PAD, FRAME_RATE_HZ, ROWS, Frame, ms_between
 
 REFRESH_HZ = 12
 # Time constant of the rest in frames, and four times the noise in counts, as on the live page.
@@ -121,7 +121,7 @@ class View:
             load = float(self._pressure.sum())
             self._recent.append((frame.sensor_ms, load))
             if touch is not None and is_touched:
-                self._trace.append((_since_s(touch.began, frame.sensor_ms), load))
+                self._trace.append((ms_between(touch.began.sensor_ms, frame.sensor_ms) / 1000, load))
 
     def note(self, text: str, is_bad: bool = False) -> None:
         with self._lock:
@@ -150,7 +150,7 @@ class View:
                 self._latest.put(event)
             if isinstance(event, TouchBegan):
                 self._trace.clear()
-                since = ((_since_s(event, sensor_ms), load) for sensor_ms, load in self._recent)
+                since = ((ms_between(event.sensor_ms, ms) / 1000, load) for ms, load in self._recent)
                 self._trace.extend((at_s, load) for at_s, load in since if at_s >= 0.0)
         if isinstance(event, SensorEvent | RobotEvent | Label):
             self.note(describe(event, self._words), getattr(event, "state", "up") != "up")
@@ -326,12 +326,6 @@ class View:
 
     def _name(self, gesture: str) -> str:
         return name_of(self._words, gesture)
-
-
-def _since_s(began: TouchBegan, sensor_ms: int) -> float:
-    """Return the seconds from a touch's beginning to a time of the sensor's clock, which wraps."""
-    half = CLOCK_MODULUS // 2
-    return ((sensor_ms - began.sensor_ms + half) % CLOCK_MODULUS - half) / 1000
 
 
 def _fitted(lines: Sequence[Text], width: int, height: int) -> list[Text]:

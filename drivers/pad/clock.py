@@ -14,7 +14,7 @@ known. A clock that jumps ahead is delivered as it is.
 import math
 from collections import deque
 
-from touchd.drivers.frame import CLOCK_MODULUS, Counts, Frame, ProtocolCounts
+from touchd.drivers.frame import CLOCK_MODULUS, Counts, Frame, ProtocolCounts, ms_between
 
 # What a unit of a pad's clock counts, in milliseconds; "none" is a pad without a clock.
 UNITS_MS = {"none": 0.0, "ms": 1.0, "us": 0.001, "s": 1000.0}
@@ -80,7 +80,7 @@ class PadClock:
         last, since_s, self._since_s = self._last, self._since_s, first.host_s
         if last is None:
             return
-        is_back = (first.sensor_ms - last.sensor_ms) % CLOCK_MODULUS >= CLOCK_MODULUS // 2
+        is_back = ms_between(last.sensor_ms, first.sensor_ms) < 0
         if is_back and first.host_s - since_s >= MAX_STEP_S:
             later_ms = max(1, round(1000 * (first.host_s - last.host_s)))
             self._ahead_ms += last.sensor_ms + later_ms - first.sensor_ms
