@@ -46,25 +46,22 @@ def main(options: argparse.Namespace) -> int:
 
     to_do = 0
     for check in examine(settings, options.seconds, say, talk if can_ask() else None, options.grid):
-        console.print(_line(check))
-        if _is_to_paste(check.advice):
-            console.print(Text(f"{' ' * ADVICE_AT}-> {check.advice}", "bold"), soft_wrap=True)
+        _show(console, check)
         to_do += check.verdict == "to do"
     console.print(f"{to_do} to do" if to_do else "nothing to do", style="bold")
     return int(to_do > 0)
 
 
-def _line(check: Check) -> Table:
+def _show(console: Console, check: Check) -> None:
+    # A line for the configuration, which must not be wrapped.
+    is_to_paste = "format: " in check.advice
     line = Table.grid(padding=(0, 1, 0, 0))
     line.add_column(width=VERDICT_WIDTH)
     line.add_column(width=NAME_WIDTH)
     line.add_column(width=text_width() - VERDICT_WIDTH - NAME_WIDTH - 3, overflow="fold")
     line.add_row(Text(check.verdict, STYLES[check.verdict]), check.name, Text(check.found))
-    if check.advice and not _is_to_paste(check.advice):
+    if check.advice and not is_to_paste:
         line.add_row("", "", Text(f"-> {check.advice}", "bold"))
-    return line
-
-
-def _is_to_paste(advice: str) -> bool:
-    """Whether an advice holds a line for the configuration, which must not be wrapped."""
-    return "format: " in advice
+    console.print(line)
+    if is_to_paste:
+        console.print(Text(f"{' ' * ADVICE_AT}-> {check.advice}", "bold"), soft_wrap=True)
