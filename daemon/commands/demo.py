@@ -18,7 +18,7 @@ import msgspec
 from numpy.random import RandomState
 from rich.console import Console
 
-from touchd.daemon.app.config import LiveSettings, SceneSettings, Settings
+from touchd.daemon.app.config import LiveSettings, SceneSettings, SensorSettings, Settings
 from touchd.daemon.commands.fake_pad import add_live, serve_page
 from touchd.daemon.live.address import EVERY_ADDRESS, parse_address, qr_code
 from touchd.daemon.path.events import UNCERTAIN, Event, TouchEnded
@@ -105,7 +105,7 @@ def main(options: argparse.Namespace) -> int:
     with ExitStack() as closing:
         show = _show(closing)
         port = closing.enter_context(FakePort(stream, _showing(stream, show), speed=PACE))
-        told = _run(closing, show, port, SETTINGS)
+        told = _run(closing, show, port)
     did = [span.gesture for span in stream.spans if span.gesture != NO_TOUCH]
     summary = f"\nThe simulated hand did:  {_names(did)}\nThe robot was told:      {_names(told)}\n"
     sys.stdout.write(summary + NEXT.format(touchd=program_name()))
@@ -129,9 +129,7 @@ def _be_touched(live: LiveSettings) -> int:
         pad = SimulatedPad(rng, tuple(PLAYED), EVERY_S, page.touching, begins, put_frame)
         port = closing.enter_context(LivePort(pad.scan, encoder_for(SETTINGS.sensor)))
         show.note(f"live page: {' '.join(page.urls)}   Ctrl-C ends")
-        # Live predictions are not events: get them from the daemon's own page, whose address is in its log.
-        inner = msgspec.structs.replace(SETTINGS, live=LiveSettings(port=0))
-        _run(closing, show, port, inner, page)
+        _run(closing, show, port, page)
     return 0
 
 
@@ -152,11 +150,7 @@ def _show(closing: ExitStack, urls: Sequence[str] = (), is_for_phones: bool = Fa
 
 
 def _run(
-    closing: ExitStack,
-    show: Show,
-    port: FakePort | LivePort,
-    settings: Settings,
-    page: TouchPage | None = None,
+    closing: ExitStack, show: Show, port: FakePort | LivePort, page: TouchPage | None = None
 ) -> Sequence[str]:
     """Run the daemon on a fake port and show its events; return the last answer to each touch.
 
@@ -165,8 +159,10 @@ def _run(
     folder = Path(closing.enter_context(tempfile.TemporaryDirectory(prefix="touchd-demo-")))
     log = closing.enter_context((folder / "log").open("w+b"))
     robot = closing.enter_context(LoopbackRobot(lambda call: None, [f"--say-s={SPEECH_S}"]))
-    sensor = msgspec.structs.replace(settings.sensor, port=port.path)
-    settings = msgspec.structs.replace(settings, sensor=sensor, robot=RobotSettings(url=robot.url))
+    sensor, to_robot = SensorSettings(port=port.path), RobotSettings(url=robot.url)
+    # Live predictions are not events: get them from the daemon's own page, whose address is in its log.
+    live = LiveSettings(port=0) if page else None
+    settings = msgspec.structs.replace(SETTINGS, sensor=sensor, robot=to_robot, live=live)
     daemon = SpawnedDaemon(settings, folder, log)
     closing.callback(daemon.stop)
     if page is not None:
