@@ -166,6 +166,22 @@ def test_a_link_may_be_stopped_twice_and_before_it_starts() -> None:
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("touchd-robot")]
 
 
+def test_stopping_waits_no_longer_than_its_limit() -> None:
+    is_over = threading.Event()
+
+    def stuck(*_: object) -> RobotSession:
+        is_over.wait()
+        raise RobotLost("at last")
+
+    link = RobotLink(RobotSettings(url=URL), open_session=stuck)
+    link.start()
+    started_s = time.monotonic()
+    link.stop(0.1)
+    assert time.monotonic() - started_s < 0.9
+    is_over.set()
+    link.stop()
+
+
 @pytest.mark.parametrize(
     ("url", "host", "port"),
     [
