@@ -93,16 +93,11 @@ def around_touch(
 
 @dataclass(frozen=True, order=True)
 class KeptTouch:
-    """A touch in a store. count: rises with each touch. time, number: those of its `touch_began`."""
+    """A touch in a store. count: rises with each touch. key: time and number of its `touch_began`."""
 
     count: int
-    time: str
-    number: int
+    key: TouchKey
     path: Path
-
-    @property
-    def key(self) -> TouchKey:
-        return self.time, self.number
 
 
 class TouchStore:
@@ -173,7 +168,7 @@ def _delete(files: Iterable[Path]) -> None:
     """Delete every file that can be deleted."""
     for file in files:
         with suppress(OSError):
-            file.unlink(missing_ok=True)
+            file.unlink()
 
 
 def folder_of(journal: Path, pad: str = DEFAULT_PAD) -> Path:
@@ -198,7 +193,7 @@ def kept_touches(folder: Path) -> list[KeptTouch]:
             return []
     found = ((folder / name, NAME.fullmatch(name)) for name in names)
     return sorted(
-        KeptTouch(int(parts[5]), ":".join(parts.group(1, 2, 3)), int(parts[4]), path)
+        KeptTouch(int(parts[5]), (":".join(parts.group(1, 2, 3)), int(parts[4])), path)
         for path, parts in found
         if parts is not None
     )

@@ -73,7 +73,7 @@ def test_each_pad_has_touches_scene_and_frames_of_its_own(tmp_path: Path) -> Non
     for pad, number in shown.items():
         touches = [event.touch for event in on(pad, events) if isinstance(event, TouchBegan)]
         assert touches == list(range(1, number + 1))
-        assert [kept.number for kept in kept_touches(folder_of(journal, pad))] == touches
+        assert [kept.key[1] for kept in kept_touches(folder_of(journal, pad))] == touches
     assert all(touch.ended and touch.predictions for touch in gather(read_events(journal)[0]))
 
 

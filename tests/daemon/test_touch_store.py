@@ -51,6 +51,11 @@ def sinking(*stores: TouchStore) -> Iterator[TouchSink]:
     sink.stop(WITHIN_S)
 
 
+def numbers(folder: Path) -> list[int]:
+    """Return the numbers of the touches in a folder."""
+    return [kept.key[1] for kept in kept_touches(folder)]
+
+
 def put(sink: TouchSink, touch: EndedTouch) -> None:
     """Put a touch's frames, then its events."""
     for frame in touch.frames:
@@ -78,7 +83,7 @@ def test_a_kept_touch_is_what_the_pad_sent(store: TouchStore, tmp_path: Path) ->
     (start,) = (event for event in events if isinstance(event, TouchBegan))
     (end,) = (event for event in events if isinstance(event, TouchEnded))
     (kept,) = kept_touches(tmp_path / "touches")
-    assert (kept.time, kept.number) == (start.time, start.touch)
+    assert kept.key == (start.time, start.touch)
     assert start.sensor_ms == 1500
     assert end.sensor_ms is not None
     frames = read_frames(kept)
@@ -95,7 +100,7 @@ def test_a_kept_touch_is_what_the_pad_sent(store: TouchStore, tmp_path: Path) ->
     assert [part.gesture for part in read_recordings(kept.path)] == [NO_TOUCH, UNLABELLED, NO_TOUCH]
     assert {frames.touch.participant, frames.touch.substrate, frames.touch.cover} == {UNLABELLED}
     told = gzip.decompress(kept.path.read_bytes()).decode().splitlines()
-    assert {"# sensor: a made pad", "# touch: 1", f"# recorded: {kept.time}"} < set(told)
+    assert {"# sensor: a made pad", "# touch: 1", f"# recorded: {start.time}"} < set(told)
     assert "# taken for: stroke (released)" in told
 
 
@@ -162,7 +167,7 @@ def test_only_the_last_touches_are_kept(tmp_path: Path) -> None:
     for number in range(12):
         store.add(ended_touch(number, rest_frames=0))
         assert len(os.listdir(tmp_path)) <= 5
-    assert [kept.number for kept in kept_touches(tmp_path)] == [7, 8, 9, 10, 11]
+    assert numbers(tmp_path) == [7, 8, 9, 10, 11]
 
 
 def said(number: int, gesture: str, pad: str = DEFAULT_PAD) -> Label:
@@ -178,7 +183,7 @@ def test_later_touches_do_not_displace_labelled_ones(tmp_path: Path) -> None:
             # Also while the touch goes on.
             store.label(said(number, "pat"))
         store.add(ended_touch(number, rest_frames=0))
-    assert [touch.number for touch in kept_touches(tmp_path)] == [2, 3, 4, 5, 6, 25, 26, 27, 28, 29]
+    assert numbers(tmp_path) == [2, 3, 4, 5, 6, 25, 26, 27, 28, 29]
 
 
 @pytest.mark.parametrize("pad", [DEFAULT_PAD, "left"])
@@ -250,7 +255,7 @@ number = 0
 while store.lost < 20:
     number += 1
     store.add(ended_touch(number))
-whole = [kept.number for kept in kept_touches(folder)]
+whole = [kept.key[1] for kept in kept_touches(folder)]
 assert whole == list(range(1, number - 19)), whole
 ballast.unlink()
 store.add(ended_touch(0))
@@ -313,7 +318,7 @@ def test_a_folder_that_fails_loses_touches_and_says_so_once(
     failed, again = caplog.messages
     assert failed.startswith("the frames of touches cannot be saved: ")
     assert again.startswith("the frames of touches are saved again; those of 2 were lost")
-    assert [kept.number for kept in kept_touches(folder)] == [4]
+    assert numbers(folder) == [4]
     assert folder.stat().st_mode & 0o007 == 0
 
 
@@ -347,8 +352,8 @@ def test_each_pads_touches_are_kept_without_forgotten_frames(store: TouchStore, 
             change(touch.ended, touch=2),
         ):
             sink.put(event)
-    assert [kept.number for kept in kept_touches(tmp_path / "touches")] == [1]
-    assert [kept.number for kept in kept_touches(tmp_path / "other")] == [7]
+    assert numbers(tmp_path / "touches") == [1]
+    assert numbers(tmp_path / "other") == [7]
 
 
 @pytest.mark.parametrize("name", ["2026-11-20T10-00-00.000Z-1-1.csv.gz", f"{PARTIAL}x"])
@@ -357,8 +362,7 @@ def test_a_folder_named_like_a_touch_does_not_stop_deletion(tmp_path: Path, name
     store = TouchStore(tmp_path / "touches", 3, "a made pad")
     for number in range(8):
         store.add(ended_touch(number))
-    kept = kept_touches(tmp_path / "touches")
-    assert [touch.number for touch in kept] == [5, 6, 7]
+    assert numbers(tmp_path / "touches") == [5, 6, 7]
     assert (tmp_path / "touches" / name).is_dir()
 
 
@@ -368,4 +372,4 @@ def test_a_clock_that_was_ahead_does_not_delete_new_touches(tmp_path: Path) -> N
         store.add(ended_touch(number, after_s=1e8))
     for number in (4, 5):
         TouchStore(tmp_path, 3, "").add(ended_touch(number))
-    assert [kept.number for kept in kept_touches(tmp_path)] == [3, 4, 5]
+    assert numbers(tmp_path) == [3, 4, 5]
