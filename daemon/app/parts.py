@@ -98,7 +98,7 @@ def _with_sinks(
     if settings.journal is not None:
         sinks.append(open_journal(settings.journal))
         if settings.journal.keep_touches is not None:
-            kept = keep_touches(settings)
+            kept = keep_touches(settings, settings.journal.file, settings.journal.keep_touches)
             sinks.append(kept)
     gestures = {name: model.labels for name, model in models.items()}
     labeller = Labeller(emit, gestures, are_kept=kept is not None)

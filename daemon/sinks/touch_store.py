@@ -279,17 +279,14 @@ class _PadFrames:
         return EndedTouch(began, event, frames) if began and frames else None
 
 
-def keep_touches(settings: Settings) -> TouchSink:
-    """Return the sink that saves touches beside the journal, whose folder is there.
+def keep_touches(settings: Settings, journal: Path, most: int) -> TouchSink:
+    """Return the sink that saves touches beside a journal, whose folder is there.
 
-    Raises RecordingError, and JournalError when an older journal cannot be read.
+    most: number of touches to keep. Raises RecordingError, and JournalError when an older journal cannot be
+    read.
     """
-    journal = settings.journal
-    assert journal is not None, "touches are saved beside a journal"
-    assert journal.keep_touches is not None, "the journal keeps touches"
     stores = {}
     for name, pad in settings.pads.items():
-        labelled = read_labels(journal.file, name)
-        sensor = description_of(pad.sensor)
-        stores[name] = TouchStore(folder_of(journal.file, name), journal.keep_touches, sensor, labelled)
+        sensor, labelled = description_of(pad.sensor), read_labels(journal, name)
+        stores[name] = TouchStore(folder_of(journal, name), most, sensor, labelled)
     return TouchSink(stores)

@@ -19,7 +19,7 @@ from rigs.scripted_model import Scripted
 from rigs.small_disk import log_on_small_disk, needs_small_disk
 from rigs.wait import WITHIN_S
 
-from touchd.daemon.app.config import JournalSettings, PadSettings, Settings
+from touchd.daemon.app.config import PadSettings, Settings
 from touchd.daemon.path.events import Event, Label, SensorEvent, TouchBegan, TouchEnded, encode, timestamp
 from touchd.daemon.path.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.daemon.sinks.touch_store import (
@@ -205,7 +205,7 @@ def test_labels_are_read_from_the_journal_beside(tmp_path: Path, pad: str) -> No
     found = {int(name.split("-")[-2]): label for name, label in labels_in(folder).items()}
     assert found == {1: "pat", 3: NO_TOUCH}
     sensors = {} if pad == DEFAULT_PAD else {pad: PadSettings(port="/dev/pad")}
-    sink = keep_touches(Settings(journal=JournalSettings(path=str(journal), keep_touches=3), sensors=sensors))
+    sink = keep_touches(Settings(sensors=sensors), journal, 3)
     labelled = {(said(number, "").began, number) for number in (1, 3, 9)} | {(other.began, 4)}
     assert sink._stores[pad]._labelled == labelled
 
@@ -223,7 +223,7 @@ def test_an_unusable_folder_is_reported_with_its_setting(tmp_path: Path) -> None
     (tmp_path / "events.jsonl.touches").touch()
     for path, why in ((tmp_path / "events.jsonl", "File exists"), (Path("/nowhere/e"), "No such file")):
         with pytest.raises(RecordingError, match=rf"{why}.*give another journal.path"):
-            keep_touches(Settings(journal=JournalSettings(path=str(path), keep_touches=3)))
+            keep_touches(Settings(), path, 3)
     assert not Path("/nowhere").exists()
 
 
