@@ -26,16 +26,19 @@ ENDINGS: Mapping[EndReason, str] = {
 }
 
 
+def confidence_of(answer: Prediction) -> str:
+    """Return an answer's confidence; "" if it is unsure, as then it is the likeliest gesture's."""
+    return "" if answer.gesture == UNCERTAIN else f"{answer.confidence:.0%}"
+
+
 def describe(event: Event, words: Vocabulary) -> str:
     match event:
         case TouchBegan():
             return f"touch {event.touch} begins"
         case Prediction():
-            # The confidence is the likeliest gesture's, not that of being unsure.
-            sure = "" if event.gesture == UNCERTAIN else f"{event.confidence:4.0%}"
             return (
                 f"  {event.stage:<9} after {event.elapsed_s:4.1f} s: "
-                f"{name_of(words, event.gesture):<10} {sure:4}  in {event.latency_ms:.1f} ms"
+                f"{name_of(words, event.gesture):<10} {confidence_of(event):>4}  in {event.latency_ms:.1f} ms"
                 f"{'  told' if event.told else ''}"
             )
         case TouchEnded():

@@ -15,7 +15,6 @@ from rich.text import Text
 
 from touchd.daemon.app.config import Settings
 from touchd.daemon.path.events import (
-    UNCERTAIN,
     Event,
     Label,
     LivePrediction,
@@ -27,7 +26,7 @@ from touchd.daemon.path.events import (
 from touchd.daemon.robot.words import name_of, words_of
 from touchd.daemon.sinks.labels import Labeller, keys_of
 from touchd.daemon.sinks.touches import Latest, ReportedTouch
-from touchd.daemon.view.describe import describe
+from touchd.daemon.view.describe import confidence_of, describe
 from touchd.daemon.view.elements import (
     ACCENT,
     BAD,
@@ -267,10 +266,9 @@ class View:
         if not answers:
             return [Text(), Text()]
         answer = answers[-1]
-        sure = Text(f"after {answer.elapsed_s:.3g} s", INK)
-        # Of an unsure answer the confidence is the likeliest gesture's.
-        if answer.gesture != UNCERTAIN:
-            sure = Text.assemble((f"{answer.confidence:.0%}", INK + BOLD), (" sure, ", INK), sure)
+        confidence = confidence_of(answer)
+        after = f"{' sure, ' if confidence else ''}after {answer.elapsed_s:.3g} s"
+        sure = Text.assemble((confidence, INK + BOLD), (after, INK))
         remark = Text()
         if before := self._before(answers):
             remark.append(f"↻ was {before} · ", CHANGED)
@@ -284,10 +282,8 @@ class View:
 
     def _flag(self, answers: Sequence[Prediction], at: int) -> Flag:
         said, before = answers[at], self._before(answers[: at + 1])
-        told = " ✓" if said.told else ""
-        sure = "" if said.gesture == UNCERTAIN else f" {said.confidence:.0%}"
-        text = f"{'↻ ' if before else ''}{self._name(said.gesture)}{sure}{told}"
-        return Flag(said.elapsed_s + said.age_ms / 1000.0, text, bool(before))
+        parts = "↻" if before else "", self._name(said.gesture), confidence_of(said), "✓" if said.told else ""
+        return Flag(said.elapsed_s + said.age_ms / 1000.0, " ".join(filter(None, parts)), bool(before))
 
     def _before(self, answers: Sequence[Prediction]) -> str:
         """Return the name of the told answer that the last one replaced, or ""."""
