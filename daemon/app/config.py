@@ -38,7 +38,6 @@ MAX_PADS = 16
 PAD_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,31}")
 DEFAULT_PORT = "/dev/touchd-pad"
 
-FABRIC = "fabric-grid"
 # Errors of a machine that has no descriptors or memory left.
 NO_ROOM = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)
 
@@ -80,7 +79,7 @@ class SensorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
     port: Annotated[str, msgspec.Meta(min_length=1)] = DEFAULT_PORT
     baud: Annotated[int, msgspec.Meta(ge=1200, le=4_000_000)] = 512_000
-    format: str | SentFormat = FABRIC
+    format: str | SentFormat = "fabric-grid"
     turn: Literal[0, 90, 180, 270] = 0
     mirror: bool = False
     size_mm: tuple[Length, Length] | None = None

@@ -13,7 +13,6 @@ MOST_LINES = 60
 WHILE_S = 60.0
 MOST_TRACE_LINES = 100
 LINE = logging.Formatter("%(levelname)s %(name)s: %(message)s")
-_TRACE = logging.Formatter()
 # The numbers of syslog(3), by which `journalctl -p warning` selects.
 SYSLOG_LEVELS = {logging.CRITICAL: 2, logging.ERROR: 3, logging.WARNING: 4, logging.INFO: 6, logging.DEBUG: 7}
 
@@ -46,7 +45,7 @@ class LogGate(logging.Filter):
                 record.exc_info = record.exc_text = None
         record.msg, record.args = one_line(record.getMessage()) + more, None
         if record.exc_info and not record.exc_text:
-            lines = _TRACE.formatException(record.exc_info).split("\n")
+            lines = LINE.formatException(record.exc_info).split("\n")
             # Indented, so that no line of an error's text can pass for one of the log.
             record.exc_text = "\n".join(f"  {one_line(line)}" for line in lines[-MOST_TRACE_LINES:])
         return True

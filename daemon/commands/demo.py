@@ -114,9 +114,7 @@ def main(options: argparse.Namespace) -> int:
 
 def _be_touched(live: LiveSettings) -> int:
     """Run until Ctrl-C with a page on which viewers touch the simulated pad; returns 0."""
-    robot = RobotSettings(url="tcp://localhost:9559")
-    shown = msgspec.structs.replace(SETTINGS, live=live, robot=robot)
-    rng = RandomState()
+    shown = msgspec.structs.replace(SETTINGS, live=live, robot=RobotSettings(url="tcp://localhost:9559"))
     with ExitStack() as closing:
         page = serve_page(closing, shown, Classifier.load())
         show = _show(closing, page.urls, live.host in EVERY_ADDRESS)
@@ -126,7 +124,7 @@ def _be_touched(live: LiveSettings) -> int:
             page.put_frame(frame)
 
         begins = partial(_begins, show)
-        pad = SimulatedPad(rng, tuple(PLAYED), EVERY_S, page.touching, begins, put_frame)
+        pad = SimulatedPad(RandomState(), tuple(PLAYED), EVERY_S, page.touching, begins, put_frame)
         port = closing.enter_context(LivePort(pad.scan, encoder_for(SETTINGS.sensor)))
         show.note(f"live page: {' '.join(page.urls)}   Ctrl-C ends")
         _run(closing, show, port, page)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from rich.console import Console
 from serial.tools.list_ports import comports
 
-from touchd.daemon.app.config import DEFAULT_PORT, FABRIC, ConfigError, SensorSettings, Settings, load
+from touchd.daemon.app.config import DEFAULT_PORT, ConfigError, SensorSettings, Settings, load
 from touchd.daemon.app.parts import check_pad
 from touchd.daemon.doctor.hand import (
     LISTEN_S,
@@ -26,7 +26,7 @@ from touchd.daemon.doctor.machine import certificate_at, check_robot, find_robot
 from touchd.daemon.doctor.port import advice_for, lasting_name
 from touchd.drivers.errors import os_errors_as, within
 from touchd.drivers.installed import program_name
-from touchd.drivers.pad.format import PRESETS, PadFormat
+from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.port import Line, SensorError, at_baud, open_port
 from touchd.drivers.robot.session import RobotError
 from touchd.drivers.search.listen import USUAL_BAUDS, Chunk, likeliest_baud
@@ -72,14 +72,14 @@ def main(options: argparse.Namespace) -> int:
         how = f"no configuration was written; how to describe a pad: {program_name()} docs pads"
         console.print(how, style="bold")
         return 1
-    # Without a pad, assume a fabric pad's rate, which is not the first of the usual rates.
-    unseen = Found(options.port or DEFAULT_PORT, options.baud or SensorSettings().baud, None)
-    port, baud, described = found or unseen
+    # Without a pad, assume a fabric pad, whose rate is not the first of the usual rates.
+    assumed = SensorSettings()
+    port, baud, described = found or Found(options.port or assumed.port, options.baud or assumed.baud, None)
     name, why = lasting_name(port)
     urls = _ask_robot(console) if options.robot is None else _urls_of_robot(options.robot)
     robot = find_robot(urls, lambda url: console.print(f"trying {url} ...")) or next(iter(urls), None)
     certificate = certificate_at(robot) if robot and robot.startswith("tcps://") else None
-    _write(options.file, name, baud, described or PRESETS[FABRIC], robot, certificate)
+    _write(options.file, name, baud, described or assumed.described, robot, certificate)
     file = shlex.quote(str(options.file))
     later = f"none found, so {file} describes a fabric pad; for another, plug it in, delete {file} and repeat"
     console.print(f"pad: {described}, at {name} ({why})" if described else f"pad: {later}")
