@@ -332,6 +332,11 @@ def test_an_event_that_is_acknowledged_late_comes_once(port: int, messages: list
     [
         (b"\x20\x03\x00\x00\x00", "(the connection was closed)"),
         (b"", "(the connection was closed before a greeting: is it a broker, and does it want TLS?)"),
+        pytest.param(
+            b"\x20\x03\x00\x00\x00\x30\xff\xff\x7f" + bytes(100_000),
+            "(it sends more than touchd asks for)",
+            id="a flood",
+        ),
         (b"\x20\x03\x00\x87\x00", "(Not authorized)"),
         (b"\x20\x0b\x00\x97\x08\x1f\x00\x05a\n\x1b[m", "(Quota exceeded: a"),
     ],

@@ -92,7 +92,10 @@ def test_states_outlast_events_in_a_full_queue(peer: Peer, monkeypatch: pytest.M
     monkeypatch.setattr("touchd.daemon.bridges.bridge.STALE_S", WITHIN_S)
     state = SensorEvent(state="degraded", time=TIME)
     bridge = peer.bridge()
-    for item in (state, *map(event, range(1, 20))):
+    # The bridge holds it, and takes no other while the peer is away.
+    bridge.put(event(1))
+    wait_for(lambda: not len(bridge._items))
+    for item in (state, *map(event, range(2, 20))):
         bridge.put(item)
     peer.start()
     wait_for(lambda: 19 in numbers(peer))
