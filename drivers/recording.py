@@ -114,6 +114,12 @@ def ideal_clock_ms(frames: int, first_ms: int = 0) -> NDArray[np.int64]:
     return clock_ms + first_ms
 
 
+def recordings_in(folder: Path) -> list[Path]:
+    """Return a folder's recordings by name, without those that are being written. Raises OSError."""
+    found = sorted(path for path in folder.iterdir() if path.name.endswith(SUFFIXES))
+    return [path for path in found if not path.name.startswith(".")]
+
+
 def read_recordings(path: Path, select: Selection = EVERYTHING) -> list[Recording]:
     """Read the selected recordings of a .csv or .csv.gz file, in file order.
 

@@ -23,10 +23,10 @@ from touchd.drivers.recording import (
     ideal_clock_ms,
     read_recordings,
     realign,
+    recordings_in,
     set_up,
     splice,
 )
-from touchd.model.adapt.folder import files_of
 
 DEMO_RECORDING = Path(__file__).parent / "data" / "demo.csv.gz"
 # Long enough for a touch to end and the baseline to settle, short enough to wait for.
@@ -75,7 +75,7 @@ def recording_files(paths: Sequence[Path]) -> list[Path]:
     """Return the files among paths, and for each folder its recordings in order of their names."""
     files: list[Path] = []
     for path in paths:
-        inside = files_of(path) if path.is_dir() else [path]
+        inside = recordings_in(path) if path.is_dir() else [path]
         if not inside:
             raise RecordingError(f"{path}: no recording ({' or '.join(SUFFIXES)}) is in this folder")
         files += inside

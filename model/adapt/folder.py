@@ -17,12 +17,12 @@ import numpy as np
 from touchd.drivers.errors import TouchdError, os_errors_as
 from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, NO_TOUCH, ROWS
 from touchd.drivers.recording import (
-    SUFFIXES,
     UNLABELLED,
     Recording,
     RecordingError,
     read_recordings,
     realign,
+    recordings_in,
     set_up,
 )
 from touchd.model.adapt.passing import LEAST_AFTER_FRAMES, InPassing, joined, whole
@@ -114,13 +114,9 @@ def _as_known(recordings: Sequence[Recording]) -> list[Recording]:
 
 
 def files_of(folder: Path) -> list[Path]:
-    """Return the recording files, without partial files of an interrupted session.
-
-    Raises ExtraError if it is not a folder.
-    """
+    """Return the recording files; raises ExtraError if it is not a folder."""
     with os_errors_as(ExtraError, f"{folder}: cannot be read", "check the path"):
-        found = sorted(path for path in folder.iterdir() if path.name.endswith(SUFFIXES))
-    return [path for path in found if not path.name.startswith(".")]
+        return recordings_in(folder)
 
 
 def read_file(path: Path) -> list[Recording]:
