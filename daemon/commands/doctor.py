@@ -1,6 +1,7 @@
 """`touchd doctor`: checks pad, model and robot, and says what to do."""
 
 import argparse
+from functools import partial
 
 from rich.console import Console
 from rich.table import Table
@@ -40,10 +41,7 @@ def main(options: argparse.Namespace) -> int:
     settings = settings_of(options).settings
     talk = Console(stderr=True, width=text_width(), highlight=False)
     console = Console(width=text_width(), highlight=False)
-
-    def say(line: str) -> None:
-        talk.print(line, style="cyan")
-
+    say = partial(talk.print, style="cyan")
     to_do = 0
     for check in examine(settings, options.seconds, say, talk if can_ask() else None, options.grid):
         _show(console, check)

@@ -23,7 +23,6 @@ ROUNDS = 2
 # With a trimmed second at each end and the countdown, fourteen recordings take 2.5 minutes; four touches made
 # once take half a minute.
 SECONDS = 6.0
-SINGLES = tuple(HOW_ONCE)
 DESCRIPTION = (
     "Records every gesture twice, and a single pat and stroke, adapts the shipped model to "
     "the recordings, and prints how often it was right before and after, and how to use the new model. "
@@ -85,7 +84,7 @@ def _record(console: Console, options: argparse.Namespace, settings: Settings) -
         tuple(HOW) if options.other else GESTURES,
         options.rounds,
         SECONDS,
-        SINGLES,
+        tuple(HOW_ONCE),
         flowing=True,
         names={gesture: name_of(words_of(settings), gesture) for gesture in HOW},
     )
