@@ -4,7 +4,7 @@ A change is judged by it: sessions, also disturbed; streams of another pad; touc
 change; a firm pad; how soon a touch is found. Networks never saw the people, but for the pads never met.
 Results are stored one by one, so an interrupted run resumes. `--against FILE` prints what differs.
 
-`detection` measures what the tracker alone decides, in minutes, and fills a table of sessions.md.
+`detection` measures what the tracker alone decides, in minutes. Both fill tables of sessions.md.
 """
 
 import argparse
@@ -209,6 +209,37 @@ def sensitivity_table(results: Results) -> dict[str, str]:
     return {"sensitivity": table(("`touch.sensitivity`", *headings), rows)}
 
 
+def session_tables(results: Results) -> dict[str, str]:
+    """Return the tables of docs/sessions.md that `tables` fills."""
+    people = {
+        "HAART's test people": "HAART test",
+        "HAART held out": "HAART",
+        "robot still": "robot still",
+        "robot breathes": "robot breathes",
+    }
+    in_use = [results.get(f"sessions/{key}") for key in people.values()]
+    figures = {
+        "touches": "{n}",
+        "missed": "{missed:g}",
+        "merged / split": "{merged:g} / {split:g}",
+        "right at the final answer": "{final:g}",
+        "right in what was told last": "{last:g}",
+        "told right, then wrong": "{harmful:g}",
+        "false touches": "{false:g}",
+    }
+    rows = [(words, *(form.format(**own) for own in in_use)) for words, form in figures.items()]
+    disturbed = {
+        "noise of 1.5 counts": "noise",
+        "mains hum of 2 counts": "hum",
+        "a motor of 23 Hz, 2 counts": "motor",
+        "breathing, 2 counts": "breathing",
+    }
+    form = "{missed:g} | {merged:g} / {split:g} | {final:g} | {false:g}"
+    others = [(words, form.format(**results.get(f"{key}/HAART"))) for words, key in disturbed.items()]
+    headings = ("disturbance", "missed", "merged / split", "right at the final answer", "false touches")
+    return {"in-use": table(("", *people), rows), "disturbed": table(headings, others)}
+
+
 def differences(now: Results, before: Results) -> Iterator[str]:
     """Yield a line for each row of which a figure differs."""
     for key in filter(before.has, now.find()):
@@ -222,7 +253,9 @@ def main(arguments: Sequence[str]) -> int:
     """Measure what is not stored yet, print what differs; returns 0."""
     options = _options("tables", "Measures every figure of detection and of what is said in use.", arguments)
     tables = Tables(options, play)
-    _measure(options, FILE, chain(tables.detection(), tables.answers()))
+    results = _measure(options, FILE, chain(tables.detection(), tables.answers()))
+    if not options.only:
+        fill(options.docs / "sessions.md", session_tables(results))
     return 0
 
 

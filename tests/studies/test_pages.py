@@ -45,6 +45,7 @@ PAGES: dict[str, Tables] = {
     },
     "speed": lambda: speed.tables(stored(speed.FILE, speed.Measured)),
     "sessions": lambda: {
+        **tables.session_tables(Results(tables.FILE)),
         **tables.sensitivity_table(Results(tables.DETECTION_FILE)),
         **passing.tables(stored(passing.FILE, passing.Measured)),
     },
