@@ -20,7 +20,7 @@ from touchd.daemon.app import cli
 from touchd.daemon.app.config import SensorSettings, Settings, load
 from touchd.daemon.commands import teach
 from touchd.daemon.record.capture import PadLost, PadReader
-from touchd.daemon.record.dialogue import GESTURES, Dialogue
+from touchd.daemon.record.dialogue import GESTURES, HOW_ONCE, Dialogue
 from touchd.daemon.record.session import Session, Setting
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import Counts
@@ -229,7 +229,8 @@ def test_touches_that_are_no_gesture_are_recorded_if_asked_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, asked: list[str], missing: list[str]
 ) -> None:
     options = cli.options_of("teach", [str(tmp_path), "--participant", "anna", "--rounds", "1", *asked])
-    made(*(take.path for take in Session(tmp_path, Setting("anna"), GESTURES, 1, 6.0, teach.SINGLES).takes()))
+    session = Session(tmp_path, Setting("anna"), GESTURES, 1, 6.0, tuple(HOW_ONCE))
+    made(*(take.path for take in session.takes()))
     asked_for: list[str] = []
     monkeypatch.setattr(teach, "PadReader", lambda *_: nullcontext())
     monkeypatch.setattr(
