@@ -338,6 +338,7 @@ def test_an_event_that_is_acknowledged_late_comes_once(port: int, messages: list
             id="a flood",
         ),
         (b"\x20\x03\x00\x87\x00", "(Not authorized)"),
+        (b"\x20\x03\x00\x9c\x00", "(Use another server)"),
         (b"\x20\x0b\x00\x97\x08\x1f\x00\x05a\n\x1b[m", "(Quota exceeded: a"),
     ],
 )
