@@ -309,7 +309,9 @@ def test_a_broker_without_mqtt_5_gets_mqtt_3(port: int, messages: list[Any], ope
         put(opened(old), 1, messages)
 
 
-def test_an_event_that_is_acknowledged_late_comes_once(port: int, messages: list[Any], opened: Open) -> None:
+def test_an_event_that_is_acknowledged_late_comes_once(
+    port: int, messages: list[Any], opened: Open, caplog: pytest.LogCaptureFixture
+) -> None:
     is_slow: list[bool] = []
 
     def delay(client: socket.socket, goes_on: Callable[[], bool]) -> None:
@@ -325,6 +327,7 @@ def test_an_event_that_is_acknowledged_late_comes_once(port: int, messages: list
         is_slow.clear()
         put(bridge, 3, messages)
     assert [decode(text) for text in payloads(messages)] == [touch(1), touch(2), touch(3)]
+    assert "ERROR" not in {record.levelname for record in caplog.records}
 
 
 @pytest.mark.parametrize(
@@ -339,6 +342,7 @@ def test_an_event_that_is_acknowledged_late_comes_once(port: int, messages: list
         ),
         (b"\x20\x03\x00\x87\x00", "(Not authorized)"),
         (b"\x20\x03\x00\x9c\x00", "(Use another server)"),
+        (b"\x20\x03\x00\x00\x00\xe0\x02\x8b\x00", "(Server shutting down)"),
         (b"\x20\x0b\x00\x97\x08\x1f\x00\x05a\n\x1b[m", "(Quota exceeded: a"),
     ],
 )
