@@ -58,7 +58,7 @@ LONGEST_FRAMES = round(600 * FRAME_RATE_HZ)
 # then: a blow is shorter. It must find a hand likelier than this, or a rest that steps by some hundred counts
 # begins touches on the robot; the sooner it is asked, the surer it must be. At the end of a touch, a hand is
 # still there above STILL_HAND.
-ASKED: Mapping[int, float] = MappingProxyType({6: 0.85, 11: LIKELY})
+ASKED: Mapping[int, float] = MappingProxyType({6: 0.92, 11: LIKELY})
 STILL_HAND = 0.5
 # What is below the first share of a touch's highest load, and does not rise by the second, may be what the
 # hand left: a fold, a material that creeps.

@@ -270,7 +270,7 @@ def test_a_likely_hand_begins_a_touch_if_the_classifier_agrees(
     assert found == pytest.approx([0] * touches, abs=1)
 
 
-@pytest.mark.parametrize(("p_no_touch", "within_s"), [(0.1, 0.12), (0.2, 0.21)])
+@pytest.mark.parametrize(("p_no_touch", "within_s"), [(0.05, 0.12), (0.1, 0.21)])
 def test_a_likely_hand_is_found_sooner_the_surer_the_classifier(p_no_touch: float, within_s: float) -> None:
     pad = TrackedPad(TouchTracker(TouchSettings(), unsure(0.9, 0.9), lambda frames, rest: p_no_touch))
     began = pad.index

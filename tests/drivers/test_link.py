@@ -153,7 +153,9 @@ def test_a_robot_that_is_away_is_tried_ever_less_often_and_logged_once(
         link.stop()
     # Pauses of 0.1, 0.2, 0.4 and 0.8 s, each shortened by at most half.
     assert tried[4] - tried[0] >= 0.75
-    assert [record.levelname for record in caplog.records] == ["WARNING", "ERROR"]
+    # A slow name of an earlier test may still be reported.
+    logged = [record.levelname for record in caplog.records if "robot" in record.name]
+    assert logged == ["WARNING", "ERROR"]
     assert states.told[0] == ("down", "no answer within 1.5 s")
 
 
