@@ -76,7 +76,7 @@ def test_a_touch_that_ends_late_is_scored_as_open() -> None:
 @needs_second_study
 @pytest.mark.slow
 def test_a_breathing_robots_answers_are_as_measured(tmp_path: Path) -> None:
-    touches, missed, split, final = 24, 0.0, 4.2, 70.8
+    touches, missed, split, final = 24, 4.2, 4.2, 62.5
     moving = "(R04|R06),dynamic,"
     recordings = read_recordings(recordings_of("robot-pad.csv", moving, tmp_path, SECOND_STUDY))
     never_met_them = SHIPPED_MODEL.parent / "left_out" / "P4-R04-R06-S03-S10.onnx"
