@@ -54,10 +54,10 @@ SMOOTH_FRAMES, NOISE_DEVIATIONS = 3, 2.0
 STILL_COUNTS, STILL_SHARE = 1.0, 0.03
 SETTLED_FRAMES = round(10 * FRAME_RATE_HZ)
 LONGEST_FRAMES = round(600 * FRAME_RATE_HZ)
-# So many frames after a hand became likely, the classifier is asked about them, even if the hand is gone by
-# then: a blow is shorter. It must find a hand likelier than this, or a rest that steps by some hundred counts
-# begins touches on the robot; the sooner it is asked, the surer it must be. At the end of a touch, a hand is
-# still there above STILL_HAND.
+# Ask the classifier this many frames after a hand became likely, even if the hand has left: a blow is short.
+# A touch begins if the classifier's probability of a hand is higher than the value here; the earlier, the
+# higher it must be. Otherwise a rest that steps by hundreds of counts begins touches on the robot. At the end
+# of a touch, a hand is still there if this probability is above STILL_HAND.
 ASKED: Mapping[int, float] = MappingProxyType({6: 0.92, 11: LIKELY})
 STILL_HAND = 0.5
 # What is below the first share of a touch's highest load, and does not rise by the second, may be what the
@@ -236,18 +236,20 @@ class TouchTracker:
         quiet.likely = quiet.likely + 1 if is_likely or stays else 0
         if probability <= GOES_ON and not quiet.likely:
             quiet.empty = self._index
-        if quiet.sure < BEGIN_FRAMES and probability <= SURE:
-            if quiet.likely not in ASKED:
-                return None
-            if self._p_hand(quiet.likely) <= ASKED[quiet.likely]:
-                if quiet.likely == max(ASKED):
-                    quiet.likely = 0
-                    if is_likely:
-                        self._rest_now(forgets_hand=True)
-                return None
+        is_sure = quiet.sure >= BEGIN_FRAMES or probability > SURE
+        if not is_sure and not self._is_confirmed(quiet.likely):
+            if quiet.likely == max(ASKED):
+                quiet.likely = 0
+                if is_likely:
+                    self._rest_now(forgets_hand=True)
+            return None
         first = min(max(quiet.empty + 1, self._index - SECOND_FRAMES), self._index)
         self._state = Touched(first, self._index, self._index)
         return Onset(first)
+
+    def _is_confirmed(self, frames: int) -> bool:
+        """Whether the classifier finds a hand, if it is asked this many frames after one became likely."""
+        return frames in ASKED and self._p_hand(frames) > ASKED[frames]
 
     def _hold(self, touch: Touched, probability: float) -> Release | None:
         if probability > GOES_ON:
