@@ -131,6 +131,8 @@ def serving_tags(
             fd = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, OWN_MODE)
             closing.callback(os.close, fd)
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            # A file that somebody else put into /tmp would keep its owner.
+            file.unlink(missing_ok=True)
             write_tags(file, tags)
             os.ftruncate(fd, 0)
             os.write(fd, msgspec.json.encode(own))

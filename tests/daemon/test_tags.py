@@ -127,9 +127,12 @@ def test_what_a_killed_daemon_left_is_replaced(folder: Path, capsys: pytest.Capt
     assert list(folder.iterdir()) == []
     for path, content in left.items():
         path.write_bytes(content)
+        path.chmod(0o666)
     assert tag("participant=P07") == 2
     assert "no touchd of yours runs" in capsys.readouterr().err
     with tagged() as (fanout, _):
+        (file,) = folder.glob("*.tags")
+        assert file.stat().st_mode & 0o077 == 0
         assert tag("participant=P07") == 0
         assert fanout.tags() == {"participant": "P07"}
 
