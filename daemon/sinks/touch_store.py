@@ -57,7 +57,7 @@ class EndedTouch:
     frames: tuple[Frame, ...]
 
     def recordings(self) -> list[Recording]:
-        """Return the touch and what is around it; no quiet if it was lost or taken for the pad's rest."""
+        """Return the touch, the rest before it, and the quiet after it if the hand was seen to leave."""
         first_ms, last_ms = self.began.sensor_ms, self.ended.sensor_ms
         assert last_ms is not None, "the touch had a last contact"
         tags = {} if self.began.tags is UNSET else self.began.tags
@@ -273,7 +273,7 @@ class _PadFrames:
         """Return the touch that began; last_ms: the sensor's clock at its last contact."""
         began, frames = self._began, tuple(self._frames)
         self._began, self._frames = None, []
-        # They are no rest before the next touch.
+        # Frames of this touch must not be saved as the rest before the next one.
         while self._recent and ms_between(self._recent[0].sensor_ms, last_ms) >= 0:
             self._recent.popleft()
         return EndedTouch(began, event, frames) if began and frames else None

@@ -79,7 +79,7 @@ class SentFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             raise FormatError(f"full_scale {self.full_scale:g} does not fit into a cell of {self.cell}")
 
     def __str__(self) -> str:
-        # A header tells a pad; lines of numbers look alike.
+        # Only a header identifies a pad; lines of numbers look alike.
         alike = (name for name, preset in PRESETS.items() if self.header and preset.header == self.header)
         return f"{next(alike, self.framing)} {self.rows}x{self.columns}"
 

@@ -331,7 +331,7 @@ def test_touches_are_named_wherever_the_pad_rests(classifier: Classifier) -> Non
 
 
 class Saying(Scripted):
-    """A model that gives a gesture a confidence, both chosen by what it was asked so far."""
+    """A model whose gesture and confidence are chosen by a function of the calls before."""
 
     def __init__(self, says: Callable[[Scripted], tuple[str, float]]) -> None:
         super().__init__()

@@ -116,7 +116,7 @@ EVERY_100 = range(0, 3000, 100)
         (EVERY_100, 2900, 300, 2900, "released", [(0, 200), (300, 2900)]),
         (EVERY_100, 2900, 1200, 1200, "released", [(200, 1100), (1200, 1200), (1300, 2900)]),
         (EVERY_100, 2900, 0, 3500, "released", [(0, 2900)]),
-        # What follows a touch that was not released is no quiet.
+        # After a touch that was not released, nothing is saved as quiet.
         (EVERY_100, 2900, 1200, 1500, "settled", [(200, 1100), (1200, 1500)]),
         # A fast pad, and a touch that never ends.
         (range(0, 7000, 2), 4000, 3200, 5900, "released", [(2200, 3198), (3200, 5900), (5902, 6998)]),
