@@ -111,7 +111,9 @@ def own_signals() -> Iterator[None]:
 
 @pytest.fixture(autouse=True)
 def own_log_levels() -> Iterator[None]:
-    """Undo what a test does to the levels of the logs: the next one would see other lines than alone."""
+    """Undo what tests do to the levels of the logs: the next one would see other lines than alone."""
+    # A module's fixtures run before this one, and may run a command that says more.
+    logging.getLogger().setLevel(logging.WARNING)
     loggers = [logging.getLogger()]
     loggers += [log for log in logging.Logger.manager.loggerDict.values() if isinstance(log, logging.Logger)]
     before, disabled = [log.level for log in loggers], logging.root.manager.disable
