@@ -1,9 +1,12 @@
-"""Finds frames of bytes: bytes in, values out.
+"""Finds binary frames in a byte stream: bytes in, values out.
 
-A frame begins with the header. It counts if another header follows it. The next header need not be awaited
-where its checksum is right and no frame with a right checksum begins inside, or, without a checksum, where it
-directly follows a frame and does not hold the header again; unless a value is above full scale, as after lost
-bytes. Otherwise the search goes on one byte later.
+A frame begins with the header, and is accepted once another header follows. Waiting for that header delays a
+frame, so it is accepted at once if all its values are within full scale (lost bytes exceed it) and
+
+- its checksum is right, and no frame with a right checksum begins inside it; or
+- it has no checksum, directly follows an accepted frame, and does not contain the header again.
+
+Where no frame is accepted, the search goes on one byte later.
 """
 
 import numpy as np
@@ -20,7 +23,7 @@ PLAIN_CELLS = {
     for cell, kind in (("u8", "u1"), ("u16", "u2"), ("i16", "i2"), ("f32", "f4"))
     for order, sign in (("little", "<"), ("big", ">"))
 }
-# The bits of a packed cell in the order in which they come.
+# The order of the bits in a packed cell.
 U12_BITS = {"little": np.arange(12, dtype=np.uint16), "big": np.arange(12, dtype=np.uint16)[::-1]}
 CLOCK_BYTES = 4
 
@@ -47,9 +50,9 @@ class BinaryFraming:
         self.reset()
 
     def reset(self) -> None:
-        """Forget half a frame."""
+        """Drop a partial frame."""
         self.buffer = b""
-        # Bytes dropped since the last frame; whether the next byte follows a frame directly.
+        # Bytes skipped since the last frame; whether the next byte directly follows a frame.
         self._gap, self._in_step = 0, False
 
     def feed(self, data: bytes, host_s: float) -> list[Sent]:
@@ -85,7 +88,7 @@ class BinaryFraming:
     def _values_in(self, window: bytes) -> Values | None:
         """Return the values (cells,) of a whole window; None if they cannot be a frame's."""
         described = self._format
-        # A quick way through a long run of header bytes. Cells may begin with the bytes of a short header.
+        # Skip a long run of header bytes quickly. A short header may also be the first cells.
         if len(self._header) >= LONG_HEADER and window.startswith(self._header, self._cells_at):
             return None
         values = decode_cells(described, window[self._cells_at :])
@@ -98,7 +101,7 @@ class BinaryFraming:
         return values if is_right else None
 
     def _is_confirmed(self, sent: Sent, at: int) -> bool | None:
-        """Whether a sound window, which begins at `at`, is a frame; None if more bytes are needed to know."""
+        """Whether the well-formed window at `at` is a frame; None until more bytes have arrived."""
         is_summed = self._format.checksum != "none"
         end = at + self._size
         inside = self.buffer.find(self._header, at + 1, end)
@@ -126,7 +129,7 @@ class BinaryFraming:
 
     def _sent(self, window: bytes, values: Values, host_s: float) -> Sent:
         stamp = self._time_in(window) if self._format.has_clock else None
-        # Caches are cold when the reader wakes: the maximum of a list takes half as long as NumPy's.
+        # With the cold caches of a thread that just woke, max() of a list is twice as fast as NumPy's.
         return Sent(stamp, values, max(values.tolist()), host_s)
 
     def _time_in(self, window: bytes) -> int:
@@ -135,7 +138,7 @@ class BinaryFraming:
         return int.from_bytes(window[at : at + CLOCK_BYTES], self._format.order)
 
     def _drop(self, count: int) -> int:
-        """Count bytes outside frames, and a damaged frame for each begun length of one; return `count`."""
+        """Count bytes outside frames, as one damaged frame per started frame length; return `count`."""
         if count:
             before = -(-self._gap // self._size)
             self._gap += count

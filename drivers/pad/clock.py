@@ -2,13 +2,13 @@
 
 A frame is on time if its clock is 1 to 250 ms after that of the last accepted one (modulo 2^32, so the wrap
 after 49.7 days needs no special case). A frame that repeats the last clock is a duplicate. Any other is held:
-it may be damaged in a way the checksum does not see, or be the first after a restart, a gap or the start. The
-next frame decides: if it is on time for the clock followed so far, the held one is refused; if it is on
+it may be damaged in a way the checksum does not detect, or be the first after a restart, a gap or the start.
+The next frame decides: if it is on time for the clock followed so far, the held one is refused; if it is on
 time for the held one, both are delivered, and the new clock is followed.
 
-If a clock that was followed for a quarter of a second steps back, the board has restarted. Its frames are
-then dated on from the last frame before, by how much later they arrived: a touch may go on, and rest stays
-known. A clock that jumps ahead is delivered as it is.
+If a clock that was followed for a quarter of a second steps back, the board has restarted. Its clock is then
+shifted to continue from the last frame before the restart, by the time between their arrivals: a touch may
+go on, and rest stays known. A clock that jumps ahead is delivered unchanged.
 """
 
 import math
@@ -26,8 +26,8 @@ MAX_STEP_S = 0.25
 class PadClock:
     """Dates a parser's frames, refuses those whose clock cannot be right, and counts these and restarts.
 
-    unit: what the pad's clock counts, a key of UNITS_MS. dates_frames: whether it dated the last frame, so
-    that it does not matter when frames are read.
+    unit: what the pad's clock counts, a key of UNITS_MS. dates_frames: whether the pad's clock dated the last
+    frame; then it does not matter when frames are read.
     """
 
     def __init__(self, counts: ProtocolCounts, unit: str) -> None:
@@ -36,20 +36,20 @@ class PadClock:
         self.dates_frames = False
         self._arrivals = ArrivalClock()
         self._held: Frame | None = None
-        # When the clock that is followed was first seen.
+        # Arrival of the first frame of the clock that is followed.
         self._since_s = 0.0
         self.reset()
 
     def reset(self) -> None:
         """Forget the clock: the port was reopened, and may lead to another pad."""
         self._last: Frame | None = None
-        # What to add to the clock after restarts.
+        # Added to the clock since the last restart.
         self._ahead_ms = 0
         self._refuse_held()
         self._arrivals.reset()
 
     def date(self, stamp: float | None, host_s: float, pressure: Counts) -> list[Frame]:
-        """Return what can be delivered now: nothing, this frame, or the held one that it confirms and this.
+        """Return what can be delivered now: nothing, this frame, or the held frame that it confirms and this.
 
         stamp: the frame's clock as sent, None for a frame without one.
         """
@@ -76,7 +76,7 @@ class PadClock:
         return []
 
     def _follow(self, first: Frame) -> None:
-        """Follow another clock from this frame on; after a restart, date it by arrival."""
+        """Follow another clock from this frame on; after a restart, shift it by the frames' arrivals."""
         last, since_s, self._since_s = self._last, self._since_s, first.host_s
         if last is None:
             return
@@ -101,14 +101,14 @@ def _steps_on(earlier: Frame, later: Frame) -> bool:
     return 0 < (later.sensor_ms - earlier.sensor_ms) % CLOCK_MODULUS <= 1000 * MAX_STEP_S
 
 
-# The mean step of this many arrivals is the pad's period, at whatever rate it sends.
+# The pad's period is the mean step of this many arrivals.
 ARRIVALS = 54
-# The share of a frame's arrival error that is followed: a jitter of 16 ms (a USB adapter's) becomes 1.6 ms.
+# Share of a frame's arrival error that moves its stamp: a jitter of 16 ms (a USB adapter's) becomes 1.6 ms.
 PHASE_GAIN = 0.1
 
 
 class ArrivalClock:
-    """Stamps frames of a pad without a clock by their arrival, and smooths the jitter of that."""
+    """Stamps frames of a pad without a clock by their arrival, with the jitter smoothed."""
 
     def __init__(self) -> None:
         self._last_ms = 0

@@ -1,4 +1,4 @@
-"""What a pad sends and how it lies, described rather than programmed."""
+"""The description of a pad: what it sends, and how it is mounted."""
 
 import re
 from typing import Annotated, Literal, NamedTuple
@@ -79,9 +79,9 @@ class SentFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             raise FormatError(f"full_scale {self.full_scale:g} does not fit into a cell of {self.cell}")
 
     def __str__(self) -> str:
-        # Only a header identifies a pad; lines of numbers look alike.
-        alike = (name for name, preset in PRESETS.items() if self.header and preset.header == self.header)
-        return f"{next(alike, self.framing)} {self.rows}x{self.columns}"
+        # Only a header identifies a pad: any pad may send lines of numbers.
+        presets = (name for name, preset in PRESETS.items() if self.header and preset.header == self.header)
+        return f"{next(presets, self.framing)} {self.rows}x{self.columns}"
 
     @property
     def has_clock(self) -> bool:
@@ -105,7 +105,7 @@ class SentFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 class PadFormat(SentFormat, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
-    """What a pad sends, and how it lies: turned clockwise by degrees, then left and right swapped."""
+    """What a pad sends, and how it is mounted: turned clockwise by degrees, then left and right swapped."""
 
     turn: Literal[0, 90, 180, 270] = 0
     mirror: bool = False
@@ -134,7 +134,7 @@ class Layout:
         """Turn values (cells,) from 0 to full_scale into pressure (8, 8) uint16, read-only."""
         described = self._format
         cells = values.reshape(described.rows, described.columns).astype(np.float32)
-        # Two small products: one large matrix would leave the processor's caches from frame to frame.
+        # Two small products: one large matrix would be evicted from the cache between frames.
         laid = self._rows @ cells @ self._columns
         if described.invert:
             laid = MAX_COUNT - laid
@@ -148,7 +148,7 @@ class Layout:
 
 
 def _resampling(side: int, crop: int, wanted: int) -> NDArray[np.float32]:
-    """Return (wanted, side): the share of each line of cells in each line of taxels."""
+    """Return (wanted, side): the weight of each row (or column) of cells in each row of taxels."""
     left = side - 2 * crop
     edges, cells = np.arange(wanted + 1) * left / wanted, np.eye(left)
     if left >= wanted:

@@ -16,15 +16,18 @@ from touchd.drivers.frame import CLOCK_MODULUS, COLUMNS, FRAME_RATE_HZ, ROWS, Fr
 from touchd.drivers.pad.vibration import Vibration
 
 PERIOD_MS = 1000.0 / FRAME_RATE_HZ
-# At 5 Hz, faster than a hand pats, a frame 2 ms off its time errs by 6 %; linear interpolation errs by 4 %.
+# A frame is in step if it is at most this far from its grid time. At 5 Hz, faster than a hand pats, such an
+# offset changes values by 6 %; linear interpolation changes them by 4 %.
 IN_STEP_MS = 2.0
-# A phase that follows by a fifth a frame is 0.9 ms off if the pad is 1 % off 54 Hz; the rest is for jitter.
+# The grid's phase moves by this share of a frame's offset. It lags by 0.9 ms behind a pad that is 1 % off
+# 54 Hz, which leaves 1.1 ms for jitter.
 PHASE_GAIN = 0.2
+# Frames pass unchanged after more than this many in step, and at the start.
 IN_STEP_FRAMES = 27
 # A step between two frames that is longer than usual by this factor has lost a frame.
 LOST_STEP = 1.75
 # The longest gap bridged by interpolation, which marks the touch as degraded. A longer gap ends the touch. At
-# 0.15 s, 10 % of the third study's touches are detected as more than one; at 0.2 s, 9 %.
+# 0.15 s, 10 % of the third study's touches are split; at 0.2 s, 9 %.
 MAX_GAP_MS = 200
 
 
@@ -99,7 +102,7 @@ class Ring:
             raise ValueError(
                 f"no frames {start_index} to {stop_index} in the ring, it has {oldest} to {self._next_index}"
             )
-        # Counted from the newest: an answer asks for few frames, and these are near it.
+        # Index from the newest end: an answer takes few frames, and a deque is fast only near its ends.
         return [self._history[index - self._next_index] for index in range(start_index, stop_index)]
 
     def window(self, stop_index: int, length: int) -> NDArray[np.float32]:
@@ -113,7 +116,7 @@ class Ring:
         return self._lay(frame.sensor_ms, frame.host_s, pressure, restarted=True)
 
     def _follow_phase(self, now_ms: int) -> None:
-        """Count the frames that have kept step with a 54 Hz grid, whose phase follows them slowly."""
+        """Count the frames in step with a 54 Hz grid, and move its phase towards them."""
         periods = max(1, round((now_ms - self._phase_ms) / PERIOD_MS))
         off_ms = now_ms - (self._phase_ms + periods * PERIOD_MS)
         if abs(off_ms) <= IN_STEP_MS:

@@ -171,7 +171,7 @@ def open_port(port: str, baud: int) -> Line:
         opened = serial.Serial(port, baud, timeout=READ_TIMEOUT_S, exclusive=True)
     except (OSError, ValueError, termios.error) as error:
         raise sensor_error(port, error) from error
-    # The lock above keeps out only programs that lock, too. A pseudo-terminal is left out, because it would
+    # pyserial's lock keeps out only programs that lock, too; TIOCEXCL keeps out all. A pseudo-terminal would
     # stay closed to others if touchd were killed.
     if not os.path.realpath(port).startswith("/dev/pts/"):
         with contextlib.suppress(OSError):
@@ -227,7 +227,7 @@ def _read(port: str, fd: int) -> bytes:
     except BlockingIOError:
         return b""
     if not data:
-        # A port that is gone is readable, too, and says so.
+        # A port that is gone reads as empty too; poll() then reports a hang-up.
         hung_up = select.poll()
         hung_up.register(fd, 0)
         if hung_up.poll(0):

@@ -26,8 +26,8 @@ FIRST_RETRY_S = 0.1
 PAUSED_S = 1.0
 # After a read of FLOOD_BYTES, sleep FLOOD_REST times the parse time, at most LONGEST_REST_S.
 FLOOD_BYTES, FLOOD_REST, LONGEST_REST_S = 16384, 9, 0.25
-# A frame's time at 54 Hz, with a little for jitter. Linux keeps 4096 bytes of a port: sleep no longer than
-# half as many take to come.
+# A frame period at 54 Hz, with some jitter. Linux buffers 4096 bytes of a port: sleep at most while half of
+# them arrive.
 FRAME_S, HALF_BUFFER_BYTES = 0.0186, 2048
 
 
@@ -46,11 +46,11 @@ class Sensor:
     """Reads `port` (see `touchd.drivers.pad.port`); puts frames and states into `queue`.
 
     A state "up" comes before the first frame of an opened port; a state "down" after each failed attempt, and
-    every `silence_s` without frames. The port is reopened whenever it fails, after FIRST_RETRY_S and then
-    ever longer up to longest_retry_s. Without a frame for silence_s the pad is down; so it is for silence_s
-    after another program took bytes. After reopen_after_s without a byte the port is reopened, which restarts
-    an Arduino that hangs; after frameless_s without a frame too, for another program may have set it
-    differently. A frame's host_s is when its last byte was read.
+    every `silence_s` without frames. A frame's host_s is when its last byte was read.
+    longest_retry_s: a port that failed is reopened after FIRST_RETRY_S, then after longer pauses up to this.
+    silence_s: the pad is down after this long without a frame, and for as long after another program took
+    bytes. reopen_after_s: without a byte, the port is reopened, which restarts an Arduino that hangs.
+    frameless_s: without a frame, it is reopened too, as another program may have changed its settings.
     frames_together: how many frames may be read at once, of a pad with a clock.
     parser: turns the port's bytes into frames; its counts may be read from any thread.
     """
@@ -63,7 +63,7 @@ class Sensor:
         self.parser = parser
         self._queue = queue
         self._is_up = False
-        # Set by the thread that takes the frames: asking it here would hold that thread up.
+        # Set by the thread that takes the frames: a question from here would make it wait.
         self.frames_together = 1
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="touchd-sensor", daemon=True)
@@ -73,9 +73,9 @@ class Sensor:
         self._thread.start()
 
     def stop(self, timeout_s: float = 1.0) -> None:
-        """End reading and close the port; safe to call twice, and before `start`.
+        """Stop reading and close the port; idempotent, also before `start`.
 
-        A network address that does not answer may keep the thread some seconds longer, not this call.
+        If a network address does not answer, the thread may outlive this call by some seconds.
         """
         self._stop.set()
         if self._thread.is_alive():

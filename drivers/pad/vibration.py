@@ -20,25 +20,25 @@ from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT
 
 Pressures = NDArray[np.float32]
 
-# Six times a second, fit the last two thirds of a second.
+# Fit a sine to the last two thirds of a second, six times a second.
 STRIDE_FRAMES = 9
 WINDOW_FRAMES = 36
-# A sine counts if it has this amplitude in counts. A new vibration reaches it after about 20 frames. Of 802
-# recordings of touches and rest one has such a sine; its pad shakes.
+# Least amplitude of a vibration, in counts. A new one reaches it after about 20 frames. Of 802 recordings of
+# touches and rest, one reaches it: its pad shakes.
 LEAST_COUNTS = 0.5
-# It must explain this share of the variance of the pad's mean.
+# Least share of the variance of the pad's mean that the sine explains.
 LEAST_EXPLAINED = 0.5
-# How well all taxels follow it: those of the lower quarter must reach this share of the upper tenth.
+# All taxels follow a vibration: the lower quartile of their weights reaches this share of the upper decile.
 QUARTER_SHARE = 0.4
-# A fit whose phase differs by more is due to another vibration on an untouched pad, and is learned at once;
-# under a hand it is due to the hand or to a step of the rest.
+# On an untouched pad, a fit whose phase differs by more is another vibration, and is learned at once. Under a
+# hand, it is due to the hand or to a step of the rest, and is ignored.
 LIKE_RADIANS = 0.4
-# Weights, phase and frequency follow a fit by this share.
+# Weights, phase and frequency move towards a new fit by this share.
 LEARNED = 0.3
 # If subtracting the sine quadruples the variance of half a window, the vibration has ended.
 ENDED = 4.0
-# Weights are learned from frames in which the sine is positive. If a period takes two to four frames, these
-# may all have the same value, with less than this share of the sine's variance; then all frames are used.
+# Weights are learned from frames in which the sine is positive. If its period takes two to four frames, all
+# of these may have the same value. If they vary by less than this share of the sine, all frames are used.
 SAME_SHARE = 0.03
 
 AGO = np.arange(1 - WINDOW_FRAMES, 1)
@@ -52,7 +52,7 @@ WAVES = np.exp(-1j * np.outer(TURNS, AGO)) * HANN * 2 / HANN.sum()
 
 @dataclass
 class _Wave:
-    """A sine: its turn per frame (radians), its newest value (counts), and how the taxels follow it.
+    """A sine: its turn per frame (radians), its newest value (counts), and each taxel's part in it.
 
     weights, rest: (64,), the sine's share in each taxel, and its counts without the sine.
     """
@@ -68,15 +68,15 @@ class _Wave:
         return values
 
     def without(self, frames: Pressures, values: NDArray[np.float32]) -> Pressures:
-        """Return (T, 64) counts without the sine; counts of 0 may have been cut off, and stay."""
+        """Return (T, 64) counts without the sine. Counts of 0 stay, as they may have been clipped."""
         left = np.minimum(np.maximum(frames - values[:, None] * self.weights, 0), MAX_COUNT)
         kept: Pressures = np.where(frames > 0, left, 0)
         return kept
 
     def fit(self, frames: Pressures) -> complex:
-        """Fit the sine to the light taxels."""
+        """Fit the sine to the taxels that no hand presses."""
         follows = self.weights > 0
-        # At the lower third by load, for a hand seldom covers more than two thirds.
+        # The lowest third by load: a hand seldom covers more than two thirds of the pad.
         light = np.sort((frames - self.rest)[:, follows] / self.weights[follows], axis=1)
         sine = self.turn * AGO
         parts = np.stack([*LEVEL_AND_SLOPE, np.cos(sine), -np.sin(sine)], axis=1)
@@ -99,13 +99,13 @@ class Vibration:
         if self._wave is not None:
             self._wave.now *= cmath.exp(1j * self._wave.turn)
         if self._taken >= WINDOW_FRAMES and self._taken % STRIDE_FRAMES == 0:
-            self._look(np.array(self._recent).reshape(WINDOW_FRAMES, -1))
+            self._update(np.array(self._recent).reshape(WINDOW_FRAMES, -1))
         wave = self._wave
         if wave is None:
             return pressure
         return wave.without(pressure.reshape(1, -1), wave.values(AGO[-1:])).reshape(pressure.shape)
 
-    def _look(self, frames: Pressures) -> None:
+    def _update(self, frames: Pressures) -> None:
         """Find, follow or forget a vibration in the last frames (T, 64)."""
         wave = self._wave
         common = frames.mean(axis=1, dtype=np.float64)
@@ -114,7 +114,7 @@ class Vibration:
             # The pad is calm.
             return
         found = _find(frames, common)
-        # By how much a fit is ahead, in radians.
+        # How far the fit's phase is ahead, in radians.
         off = 0.0 if wave is None else cmath.phase(wave.fit(frames) / wave.now)
         if found is not None and (wave is None or abs(off) >= LIKE_RADIANS):
             new = _learn(frames, *found)
@@ -132,7 +132,7 @@ class Vibration:
 
 
 def _has_ended(wave: _Wave, frames: Pressures) -> bool:
-    """Whether the pad no longer vibrates: subtracting the sine adds to what the last frames vary."""
+    """Whether the pad no longer vibrates: subtracting the sine increases the variance of the last frames."""
     half = WINDOW_FRAMES // 2
     newest, values = frames[-half:], wave.values(AGO[-half:])
     left = wave.without(newest, values)
@@ -156,7 +156,7 @@ def _find(frames: Pressures, common: NDArray[np.float64]) -> tuple[float, comple
     alive = frames[:, np.ptp(frames, axis=0) > 0]
     following = np.sort((WAVES[at] @ (alive - alive.mean(axis=0)) / now).real)
     if 4 * len(following) < 3 * frames.shape[1]:
-        # Taxels that stand still, such as a row with a broken wire, do not count, but most have to vary.
+        # Ignore taxels that stand still, such as a row with a broken wire, but require that most vary.
         return None
     quarter, high = following[len(following) // 4], following[9 * len(following) // 10]
     return (float(TURNS[at]), now) if quarter >= QUARTER_SHARE * high else None
