@@ -1,4 +1,4 @@
-"""Finds the frames in bytes, and where a grid's cells may lie among them.
+"""Finds the frames in binary data, and where a grid's cells may lie in them.
 
 A header is a sequence of bytes that occurs once a frame: at a constant distance from the next, and hardly
 ever in between.
@@ -18,17 +18,16 @@ from touchd.drivers.search.text import LEAST_FRAMES
 
 # Bytes of a frame beside its cells: header, length, 64-bit clock, counter and checksum take 20.
 MOST_AROUND = 32
-# The fabric pad's header has four bytes, and eight hold a header and a length; what is longer is skipped. Two
-# bytes hardly ever occur among cells by chance.
+# Eight bytes hold a header and a length; more are skipped. Two bytes hardly ever occur among cells by chance.
 LONGEST_HEADER, SHORT_HEADER = 8, 2
-# One frame in 65 may be damaged; the proof asks for 98 %.
+# A header's byte may differ in one frame of 65, by damage; the proof asks for 98 %.
 STEADY_SHARE = 0.985
-# A header may also occur by chance, this often for each byte of a frame; 1 of 256 random bytes is its first.
+# How often a header may also occur by chance, per byte of a frame: one random byte of 256 begins it.
 STRAY = 0.01
-# A frame's length is a distance at which the same bytes, as many as one of these, recur so often that they
-# cover this share of all. Chosen on the presets' streams; the length of the largest pad limits it.
+# A frame's length is a distance at which the same n bytes recur, n from GRAMS, and which accounts for COVERED
+# of the last LENGTH_BYTES. Chosen on the presets' streams; the largest pad's frame has LONGEST_LENGTH.
 GRAMS, COVERED, SHORTEST_LENGTH, LONGEST_LENGTH, LENGTH_BYTES = (1, 2, 3, 4), 0.6, 17, 17_000, 400_000
-# Floats of a pad are zero or of a size between these; integers read as floats are not.
+# A pad's floats are zero, or of a size between these; integers read as floats are not.
 TINY_FLOAT, HUGE_FLOAT = 1e-9, 1e9
 
 
@@ -40,10 +39,10 @@ def counting(numbers: Numbers) -> NDArray[np.bool_]:
 
 
 def tables(data: bytes) -> Iterator[NDArray[np.uint8]]:
-    """Yield the frames of each length at which the same bytes recur, that of most data first.
+    """Yield the frames of each likely length, the length that accounts for most data first.
 
-    They are (frames, twice a frame's bytes), from an arbitrary byte of a frame on. The bytes that recur are
-    as many as one of GRAMS, and not all zero, as those of a counter may be.
+    They are (frames, twice a frame's bytes), from an arbitrary byte of a frame on. Recurring zeros do not
+    count, as they may be a counter's.
     """
     part = np.frombuffer(data[-LENGTH_BYTES:], np.uint8)
     found: dict[int, Cells] = {}
@@ -60,7 +59,7 @@ def tables(data: bytes) -> Iterator[NDArray[np.uint8]]:
             length, begins = kind & 0xFFFF, starts[kinds == kind]
             found[length] = max(found.get(length, begins), begins, key=len)
     for length, begins in sorted(found.items(), key=lambda each: -each[0] * len(each[1])):
-        # Part of a header may recur within it, and seem to begin frames that do not follow each other.
+        # Part of a header may recur inside it; keep beginnings whose next frame begins one length later.
         begins = begins[np.isin(begins + length, begins)]
         if len(begins) >= LEAST_FRAMES:
             yield part[begins[:, None] + np.arange(2 * length)]
@@ -69,8 +68,8 @@ def tables(data: bytes) -> Iterator[NDArray[np.uint8]]:
 def placements(data: bytes, rows: int, columns: int) -> Iterator[Placement]:
     """Yield the placements of a grid's cells in the frames of the lengths that fit.
 
-    Their header is the longest run of bytes that never change between them. Zeros, and bytes before one that
-    only rises, may be upper bytes of a counter, and change later.
+    Their header is the longest run of constant bytes beside the cells. Zeros, and all but two of the bytes
+    before one that only rises, are not used: they may be a counter's upper bytes, which change later.
     """
     for table in tables(data):
         length, usual = table.shape[1] // 2, np.median(table, axis=0).astype(np.uint8)

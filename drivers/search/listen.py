@@ -21,9 +21,9 @@ USUAL_BAUDS = (
 FIRST_BYTE_S = 3.0
 # A second shows the eight frames of the slowest pad.
 SAMPLE_S = 1.0
-# Single bits occur in more than half of random bytes; line noise makes some at a rate that is too high, too.
+# More than half of random bytes have an isolated bit. At too high a rate, line noise alone makes a few.
 FEW_BYTES = 0.01
-# Most bytes that are kept, the latest ones: eight seconds of the largest preset take a fifth of them.
+# Only the latest bytes are kept; eight seconds of the largest preset take a fifth of this.
 MOST_BYTES = 1_000_000
 
 
@@ -80,9 +80,9 @@ def likeliest_baud(opened: Line, bauds: Sequence[int], say: Callable[[int], None
 
 
 def likelihood(data: bytes) -> tuple[bool, bool, bool]:
-    """Rate a sample: text with digits is certain; next come frames of one length, then single bits.
+    """Rate a sample: text with digits is certain; next come frames of one length, then isolated bits.
 
-    At twice the pad's baud rate or more, each bit is read at least twice.
+    At twice the pad's baud rate or more, each bit is read at least twice, so that none is isolated.
     """
     is_printed = is_text(data) and re.search(rb"\d", data) is not None
     values = np.frombuffer(data, dtype=np.uint8)

@@ -1,4 +1,4 @@
-"""What has to hold before cells are proposed as a pad: a hand presses them, and neighbours move together."""
+"""Proves that cells are a pad: a hand presses them, and neighbours move together."""
 
 import math
 from dataclasses import dataclass
@@ -14,41 +14,45 @@ Numbers = NDArray[np.float64]
 Moved = NDArray[np.float32]
 Cells = NDArray[np.int_]
 
-# Frames compared, and shuffles. With 300 to 2000 frames, 2 % of the third study's touches differ.
+# The limits below were chosen on 75 touches of the third study (S10, S12, S15 and S18).
+
+# Frames compared, and random shuffles of the cells. Between 300 and 2000 frames, 2 % of the verdicts differ.
 MOST_FRAMES, SHUFFLES = 500, 200
-# If rows run to and fro, cells move with those below them, read backwards, as with those beside them: 0.9 to
-# 1.0 times on generated pads, and below 0.5 times on the third study's, which does not.
+# Every other row runs backwards if cells correlate with those below them in reversed order by more than this
+# share of their correlation with those beside them: 0.9 to 1.0 on generated pads of that kind, below 0.5 on
+# the third study's pad, which is not.
 BACKWARDS = 0.7
-# Neighbours exceed shuffled cells by this many standard deviations: 67 of 75 of the third study's touches by
-# S10, S12, S15 and S18 do, and four of 438 streams with shuffled cells.
+# Neighbours must correlate more than shuffled cells by this many standard deviations: 67 of the 75 touches
+# pass, and 4 of 438 streams with shuffled cells.
 SURE = 2.5
-# A pad is at rest for a quarter of the time, and 30 % of its values stay near their median: a hand moves a
-# cell by more than this times as far, by 27 times in 19 of 20 of these touches; channels that swing, 4 times.
+# A press must exceed the resting spread tenfold; touches exceed it 27-fold (5th percentile), channels that
+# oscillate 4-fold. A cell rests at its lower quartile; the spread is the 30th percentile of the distances of
+# all values from their cell's median.
 AT_REST, NEAR_REST, FARTHER = 0.25, 0.3, 10.0
-# Rows and columns are turned if neighbours then move together more by this: by 0.07 to 0.33 on a firm pad.
+# Swap rows and columns if neighbours then correlate more by this. On a firm pad, they gain 0.07 to 0.33.
 TIE = 0.005
-# A hand moves cells one way, and the other way by less than this share: by 0.26 in 19 of 20 of these touches;
-# by 0.9 on channels that oscillate.
+# Movement against the press must be less than this share of the movement with it: it is 0.26 in touches (95th
+# percentile), 0.9 in channels that oscillate.
 BOTH_WAYS = 0.4
-# A step against those before and after it is a jump. Jumps hold less than this share of the squares of all
-# steps: at most 0.15 of a generated hand's at 8 to 50 Hz, 0.4 in one of these touches; 0.6 and more where two
-# pads take turns, where a byte wraps, and in numbers that are parts of others.
+# A jump is a step against the steps before and after it. Jumps must make up less than this share of the sum
+# of squared steps. It is 0.15 or less for a generated hand at 8 to 50 Hz, and 0.4 in one touch; 0.6 or more
+# if two pads alternate, a byte wraps, or numbers are parts of other numbers.
 JUMPY = 0.5
-# Dead cells read 0 or full scale throughout; more values that never change are other numbers, such as those
-# of rows, or headers of packets that hold a part of a frame.
+# Dead cells read 0 or full scale throughout. More than two constant values are not cells, but row numbers or
+# the headers of packets.
 FEW_STILL = 2
-# Full scales: those of usual converters for whole numbers, round numbers for others.
+# Full scales: those of common converters for whole numbers, round numbers for others.
 CONVERTERS = (1023.0, 4095.0, 65535.0)
 ROUND = tuple(each * 10.0**power for power in range(-6, 7) for each in (1, 2, 5))
-# A press must move a cell by this many counts of the model's scale: less is detected, but not recognised. At
-# rest, the third study's cells move by up to 13. Values that fall from the lower half, or rise from the upper
-# one, must move farther: by 20 to 33 in three of that study's recordings, as after a hand that has left.
+# A press must move a cell by this many of the model's counts; a lighter one is detected but not recognised.
+# At rest, cells move by up to 13. Values that fall from the lower half of the scale, or rise from the upper
+# half, need a firm press: when a hand leaves they move by 20 to 33 in three of the recordings.
 LEAST_PRESS, FIRM_PRESS = 16.0, 48.0
 
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """A description that may fit what arrived, and the values (frames, cells) that it reads."""
+    """A description that may fit what arrived, and the values (frames, cells) that it gives."""
 
     described: PadFormat
     values: Numbers
@@ -65,9 +69,9 @@ def thinned(numbers: Numbers) -> Numbers:
 
 
 def movement(values: Numbers) -> Moved:
-    """Return how each cell steps from frame to frame, among the others, as ranks; each cell has unit length.
+    """Return each cell's steps from frame to frame as ranks among all cells, scaled to unit length.
 
-    Ranks leave out what most cells share, and weigh a light touch like a firm one.
+    Ranks cancel what most cells share, and weigh a light touch like a firm one.
     """
     steps = np.diff(thinned(values), axis=0)
     ranks = [
@@ -87,12 +91,12 @@ def pairs(cells: Cells) -> tuple[Cells, Cells]:
 
 
 def together(moved: Moved, one: Cells, other: Cells) -> float:
-    """Return how much cells move together with others, on average; at most 1."""
+    """Return the mean correlation of cells with others."""
     return float((moved[:, one.ravel()] * moved[:, other.ravel()]).sum() / one.size)
 
 
 def runs_to_and_fro(moved: Moved, cells: Cells) -> bool:
-    """Whether every other row of a grid is sent backwards: read so, cells move with those below them."""
+    """Whether every other row of a grid is sent backwards: reversed, its cells correlate with those below."""
     backwards = cells.copy()
     backwards[1::2] = cells[1::2, ::-1]
     beside = together(moved, cells[:, :-1], cells[:, 1:])
@@ -100,7 +104,7 @@ def runs_to_and_fro(moved: Moved, cells: Cells) -> bool:
 
 
 def deviations(moved: Moved, cells: Cells) -> float:
-    """Return by how many standard deviations neighbours move together more than shuffled cells do."""
+    """Return by how many standard deviations neighbours correlate more than shuffled cells."""
     shared = moved.T @ moved
     one, other = pairs(cells)
     rng = np.random.default_rng(0)
@@ -110,7 +114,7 @@ def deviations(moved: Moved, cells: Cells) -> float:
 
 
 def objection(placed: Placement) -> str:
-    """Say why a placement's cells are not a pressed pad; "" if they are proven to be one."""
+    """Return why a placement's cells are not a pressed pad; "" if they are proven to be one."""
     if missing := _unpressed(placed.described, placed.values):
         return missing
     moved = movement(placed.values)
@@ -127,7 +131,7 @@ def objection(placed: Placement) -> str:
 
 
 def _unpressed(described: PadFormat, values: Numbers, least: float = LEAST_PRESS) -> str:
-    """Say why the values do not look as if a hand pressed cells and let go; "" if they do."""
+    """Return why the values do not look as if a hand pressed cells and let go; "" if they do."""
     values = thinned(values) * (-1 if described.invert else 1)
     off = values - np.quantile(values, AT_REST, axis=0)
     farthest = float(off.max())
@@ -140,7 +144,7 @@ def _unpressed(described: PadFormat, values: Numbers, least: float = LEAST_PRESS
 
 
 def _jumping(values: Numbers) -> float:
-    """Return the share that jumps, against the step before and after, have in the squares of all steps."""
+    """Return the share of jumps in the sum of squared steps."""
     steps = np.diff(values, axis=0)
     before, jumps, after = steps[:-2], steps[1:-1], steps[2:]
     is_against = (before * jumps < 0) & (after * jumps < 0)
@@ -164,9 +168,9 @@ def settled(placed: Placement) -> PadFormat:
 
 
 def _is_turned(placed: Placement) -> bool:
-    """Whether neighbours move together more if rows and columns are taken the other way round."""
+    """Whether neighbours correlate more with rows and columns swapped."""
     moved, cells, turned = movement(placed.values), placed.cells.ravel(), placed.cells.T.shape
-    # Under a wide hand, cells of one row move together too; those just below one another do more.
+    # A wide hand moves the cells of a row together; those exactly one below the other still correlate more.
     before, below = (together(moved, cells[lag:], cells[:-lag]) for lag in (turned[1] - 1, turned[1]))
     more = together(moved, *pairs(cells.reshape(turned))) - together(moved, *pairs(placed.cells))
     return below > before and more > TIE

@@ -1,7 +1,7 @@
-"""Finds the description of a pad in its bytes, told its rows and columns, and proves it.
+"""Finds and proves the description of a pad from its bytes, given its rows and columns.
 
-Told the grid, arithmetic leaves a few placements of the cells in a frame. The one in which neighbours move
-together most is proposed if a hand presses the pad and touchd's own parser reads nearly all that came.
+The grid's size leaves a few possible placements of the cells in a frame. The one whose neighbours correlate
+most is proposed if a hand presses the pad and touchd's own parser reads nearly all that arrived.
 """
 
 import json
@@ -26,19 +26,19 @@ from touchd.drivers.search.proof import Placement, movement, objection, pairs, s
 
 Grid = tuple[int, int]
 SIDES = range(SHORTEST_SIDE, LONGEST_SIDE + 1)
-# How much roughness counts against moving together, as an exponent. The wrong byte order is rougher by up to
-# 256, a checksum among the cells by a third; one slow number of a frame makes them smoother by a hundredth.
+# Correlation is divided by this power of the roughness, the mean step. The wrong byte order is up to 256
+# times rougher, cells with a checksum among them a third; with one slow number they are 1 % smoother.
 ROUGHNESS = 0.1
-# The parser has to read this share of what came, as docs/pads.md promises.
+# Share of what arrived that the parser must read, as docs/pads.md promises.
 EXPLAINED = 0.98
-# A preset fits if it reads this share of what came. The proof asks for this share of the later frames that
-# were found: a header of one byte that also occurs in the pad's longer header shifts all cells.
+# A preset fits if the parser reads this share of what arrived. The proof also requires this share of the
+# later frames: a one-byte header that also occurs inside the pad's longer header would shift all cells.
 MOSTLY = 0.9
-# The fastest rate of a format, and 5 % for the error of one that is measured over seconds.
+# The fastest rate of a format, plus 5 % for measuring it over seconds.
 FASTEST_HZ = 525.0
-# The third study's gaps are shorter.
+# The longest pause between frames; the third study's gaps are shorter.
 LONGEST_PAUSE_S = 2.0
-# A clock may run faster or slower than frames arrive by this share: frames come late.
+# The pad's clock may differ from the arrival of frames by this share, as frames may arrive late.
 CLOSE = 0.2
 # What a preset and a description of the same pad have in common.
 MEANING = attrgetter("framing", "rows", "columns", "full_scale", "invert")
@@ -48,8 +48,8 @@ ADVICE = "print each frame in a line, or a row a line and an empty line after ea
 class Survey(NamedTuple):
     """What a pad sends.
 
-    frame: how large a frame is, in words. rate_hz: frames a second. grid: the rows and columns that the
-    frames show, None if they show none; why: how.
+    frame: the size of a frame, in words. rate_hz: frames a second. grid: rows and columns, None if the frames
+    do not show them; why: how they were found.
     """
 
     frame: str
@@ -63,7 +63,7 @@ class Finding:
     """What a search found.
 
     proposed: the description, if it is proven. missing: why nothing is proposed, "" if something is. saw:
-    what arrived, in words. may_come: more presses may prove it.
+    what arrived, in words. may_come: whether more presses may prove a description.
     """
 
     proposed: PadFormat | None
@@ -107,7 +107,7 @@ def _of_lines(lines: Sequence[text.TextLine], seconds: float) -> Survey | None:
 
 
 def search(chunks: Sequence[Chunk], grid: Grid | None) -> Finding:
-    """Search for the description of a pad in its bytes. grid: its rows and columns, if somebody told them."""
+    """Search for the description of a pad in its bytes. grid: its rows and columns, if known."""
     sizes = np.cumsum([len(chunk.data) for chunk in chunks[::-1]])
     chunks = chunks[len(chunks) - int(np.searchsorted(sizes, MOST_BYTES, "right")) :]
     data = b"".join(chunk.data for chunk in chunks)
@@ -154,9 +154,10 @@ def placements(chunks: Sequence[Chunk], grid: Grid) -> Iterator[Placement]:
 
 
 def _fit(chunks: Sequence[Chunk], placed: Placement) -> tuple[float, bool, float, float]:
-    """Return how much neighbours move together, relative to their roughness; and what decides among equals.
+    """Return a sort key: the neighbours' correlation relative to roughness, then what decides between equals.
 
-    A checksum that holds, or cells that rest evenly: around a border that never changes, a header does not.
+    That is a checksum that holds, or cells that rest evenly: a header among border cells that never change
+    rests elsewhere.
     """
     is_checked = placed.described.tail == 1 and _completed(placed.described, chunks).checksum != "none"
     steps = np.abs(np.diff(thinned(placed.values), axis=0)).mean(axis=0)
@@ -186,7 +187,7 @@ def _is_read(described: PadFormat, chunks: Sequence[Chunk]) -> bool:
 
 
 def _completed(described: PadFormat, chunks: Sequence[Chunk]) -> PadFormat:
-    """Return a description with the clock and the checksum beside its cells, or a preset that says more."""
+    """Return a description with the clock and checksum beside its cells, or a preset that describes more."""
     more = [each for each in PRESETS.values() if MEANING(each) == MEANING(described)]
     described = next((each for each in _clocked(described) if _is_dated(each, chunks)), described)
     if described.framing == "binary" and described.tail == 1:
@@ -203,7 +204,7 @@ def _clocked(described: PadFormat) -> Iterator[PadFormat]:
 
 
 def _is_dated(described: PadFormat, chunks: Sequence[Chunk]) -> bool:
-    """Whether a description's clock, if it has one, orders nearly all frames and runs as they arrive."""
+    """Whether a description's clock, if any, orders nearly all frames and keeps pace with their arrival."""
     if not described.has_clock:
         return True
     parser, frames = _parsed(described, chunks)
@@ -215,10 +216,10 @@ def _is_dated(described: PadFormat, chunks: Sequence[Chunk]) -> bool:
 
 
 def _unexplained(placed: Placement, described: PadFormat, chunks: Sequence[Chunk]) -> str:
-    """Say what a description leaves unexplained when the daemon's own parser reads all that arrived."""
+    """Return what the daemon's own parser cannot read of what arrived, in words; "" if it reads enough."""
     parser, frames = _parsed(described, chunks)
     read, layout = {frame.pressure.tobytes() for frame in frames}, Layout(described)
-    # At first, a number that is taken for a clock may hold frames back.
+    # Only the later half: at first the parser holds frames back until it trusts the clock.
     later = np.clip(placed.values[len(placed.values) // 2 :], 0, described.full_scale)
     if np.mean([layout.pressure(each).tobytes() in read for each in later]) < MOSTLY:
         return "touchd's parser reads other cells: is its header among them, or a first number that jumps?"

@@ -11,15 +11,15 @@ from touchd.drivers.pad.format import PadFormat
 from touchd.drivers.pad.text import ended_at, lines_in, numbers_in
 from touchd.drivers.search.proof import Numbers, Placement
 
-# Fewer frames than these, a second of the slowest pad, show no movement.
+# A second of the slowest pad. Fewer frames show no movement.
 LEAST_FRAMES = 8
-# Numbers of a line beside its cells. Lines in public sketches have up to ten (an IMU); a second pad has more.
+# Numbers in a line beside its cells. Lines of public sketches have up to ten (an IMU); a second pad has more.
 MOST_BESIDE = 16
-# A framing has to hold for this share of the lines; the log lines of public sketches break one in twenty.
+# Share of the lines that must fit a framing; in public sketches, log lines break one frame in twenty.
 MOSTLY = 0.9
-# Texts that may end a frame: the most frequent ones. Sketches print two lines of words a frame at most.
+# How many of the most frequent line endings are tried as the end of a frame; sketches have two at most.
 MOST_ENDS = 3
-# The largest share of unprintable characters in text: damage, or another encoding.
+# The largest share of unprintable characters in text, from damage or another encoding.
 FEW_SHARE = 0.02
 EXCERPT_CHARACTERS, EXCERPT_BYTES = 60, 24
 NO_DIGITS = bytes(set(range(256)) - set(b"0123456789"))
@@ -28,7 +28,7 @@ TextLine = tuple[list[float], str]
 
 
 class Printed(NamedTuple):
-    """Frames of equal lines (frames, lines, numbers), how many numbers lead a line, and what ends a frame."""
+    """Frames of equal lines (frames, lines, numbers), the numbers before a line's cells, a frame's end."""
 
     numbers: Numbers
     skip: int
@@ -43,7 +43,7 @@ def is_text(data: bytes) -> bool:
 
 
 def looks_like(data: bytes) -> str:
-    """Say what bytes look like, with an excerpt: a line of text, or bytes in hex."""
+    """Describe bytes, with an excerpt: a line of text, or bytes in hex."""
     if not is_text(data):
         return f"bytes that are not text, such as {data[-EXCERPT_BYTES:].hex(' ')}"
     lines = data[-4096:].decode("utf-8", "replace").splitlines()
@@ -64,7 +64,7 @@ def lines_of(data: bytes) -> list[TextLine] | None:
 
 
 def printed(lines: Sequence[TextLine]) -> Iterator[Printed]:
-    """Yield the frames that the lines may form: several lines a frame, and at last each line a frame."""
+    """Yield the frames that the lines may form: several lines a frame first, then each line a frame."""
     widths = Counter(len(leads) for leads, _ in lines)
     width = max(widths, key=lambda each: (each - 1) * widths[each])
     at = np.flatnonzero([len(leads) == width for leads, _ in lines])
@@ -75,7 +75,7 @@ def printed(lines: Sequence[TextLine]) -> Iterator[Printed]:
     falls = (np.diff(leads[:, :MOST_BESIDE], axis=0) < 0).T
     for end in ("", *_usual_ends(lines)):
         ended = np.cumsum([0, *(after.endswith(end) for _, after in lines)])
-        # Without an end, any other line separates frames. A label or a leading number that falls does, too.
+        # Without an end text, any other line ends a frame. So does a label or leading number that falls.
         is_split = np.diff(ended[at]) > (0 if end else 1)
         for skip, fall in enumerate(falls):
             is_split = is_split | fall
