@@ -12,12 +12,13 @@ import io
 import tempfile
 import zlib
 from array import array
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import groupby, pairwise
 from pathlib import Path
+from types import MappingProxyType
 from typing import IO, Literal, NamedTuple, cast
 
 import numpy as np
@@ -44,6 +45,8 @@ MOST_LINES = 1_000_000
 LONGEST_LINE = 4096
 Framing = Literal["published", "live"]
 Keys = tuple[str, str, str, str]
+Selection = Mapping[str, Collection[str]]
+EVERYTHING: Selection = MappingProxyType({})
 
 
 class RecordingError(TouchdError):
@@ -66,24 +69,6 @@ class Recording:
     counts: Counts | NDArray[np.float32]
     sensor_ms: NDArray[np.int64]
     framing: Framing
-
-
-@dataclass(frozen=True)
-class Selection:
-    """Which recordings of a file are wanted; an empty tuple means any."""
-
-    participants: tuple[str, ...] = ()
-    substrates: tuple[str, ...] = ()
-    covers: tuple[str, ...] = ()
-    gestures: tuple[str, ...] = ()
-
-    def wants(self, keys: Sequence[str]) -> bool:
-        """Whether a recording with these four keys (participant, substrate, cover, gesture) is selected."""
-        wanted = (self.participants, self.substrates, self.covers, self.gestures)
-        return all(not some or key in some for some, key in zip(wanted, keys, strict=True))
-
-
-EVERYTHING = Selection()
 
 
 @dataclass(frozen=True)
@@ -123,6 +108,7 @@ def recordings_in(folder: Path) -> list[Path]:
 def read_recordings(path: Path, select: Selection = EVERYTHING) -> list[Recording]:
     """Read the selected recordings of a .csv or .csv.gz file, in file order.
 
+    select: accepted values by the names in KEYS; a key without values accepts any.
     Raises RecordingError if the file is missing, has no known layout, or holds a value that no pad can send.
     """
     with _lines_of(path) as lines:
@@ -262,7 +248,7 @@ def _lines(path: Path, file: IO[str]) -> Iterator[str]:
 def _parse(path: Path, lines: Iterator[str], select: Selection) -> Iterator[Recording]:
     header = _read_header(path, lines)
     for keys, rows in groupby(_rows(path, lines, header), lambda numbered: _keys_of(numbered[1])):
-        if not select.wants(keys):
+        if any(key not in (select.get(name) or (key,)) for name, key in zip(KEYS, keys, strict=True)):
             continue
         stamps, cells = array("q"), array("H")
         for line_number, row in rows:

@@ -13,12 +13,10 @@ from rich.console import Console
 from touchd.daemon.path.pipeline import Clock, Pipeline
 from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH, Frame
 from touchd.drivers.recording import (
-    EVERYTHING,
     KEYS,
     SUFFIXES,
     Recording,
     RecordingError,
-    Selection,
     Stream,
     ideal_clock_ms,
     read_recordings,
@@ -55,9 +53,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def chosen_stream(arguments: argparse.Namespace) -> Stream:
     """Return the recordings selected by the arguments as one stream; raises RecordingError."""
-    participants, substrates, covers, gestures = (tuple(getattr(arguments, key)) for key in KEYS)
-    select = Selection(participants, substrates, covers, (*gestures, NO_TOUCH) if gestures else ())
-    files = recording_files(arguments.files)
+    select = {key: getattr(arguments, key) for key in KEYS}
+    files, gestures = recording_files(arguments.files), select["gesture"]
+    if gestures:
+        select["gesture"] = [*gestures, NO_TOUCH]
     found: list[Recording] = []
     # A large file takes seconds.
     with Console(stderr=True).status("") as status:
@@ -66,7 +65,7 @@ def chosen_stream(arguments: argparse.Namespace) -> Stream:
             found += [realign(recording) for recording in read_recordings(path, select)]
     wanted = [recording for recording in found if not gestures or recording.gesture in gestures]
     if not wanted:
-        why = "no frames" if select == EVERYTHING else f"no recording matches; {_there_are(files)}"
+        why = f"no recording matches; {_there_are(files)}" if any(select.values()) else "no frames"
         raise RecordingError(f"{', '.join(map(str, arguments.files))}: {why}")
     return with_quiet(wanted, [recording for recording in found if recording.gesture == NO_TOUCH])
 

@@ -19,7 +19,6 @@ from touchd.drivers import recording as recording_module
 from touchd.drivers.recording import (
     Recording,
     RecordingError,
-    Selection,
     ideal_clock_ms,
     read_recordings,
     realign,
@@ -62,7 +61,7 @@ def test_written_recordings_read_back_with_their_provenance(tmp_path: Path, name
     recordings = [made("P1", "rub"), made("P1", "pat", 7), made("P2", "pat", 3)]
     write_recordings(path, recordings, {"source": "made up\nfor a test", "licence": "none"})
     assert_same(read_recordings(path), recordings)
-    wanted = Selection(participants=("P1",), gestures=("pat", "stroke"))
+    wanted = {"participant": ["P1"], "gesture": ["pat", "stroke"]}
     assert_same(read_recordings(path, wanted), [recordings[1]])
     written = path.read_bytes()
     text = (gzip.decompress(written) if name.endswith(".gz") else written).decode()

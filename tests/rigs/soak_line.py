@@ -18,7 +18,7 @@ from touchd.daemon.app.config import SensorSettings
 from touchd.daemon.playback.rig import encoder_for
 from touchd.daemon.playback.stream import with_quiet
 from touchd.drivers.frame import FRAME_RATE_HZ
-from touchd.drivers.recording import Selection, Stream, read_recordings, realign, splice
+from touchd.drivers.recording import Stream, read_recordings, realign, splice
 from touchd.model.studies.simulated import simulate
 
 CHUNK_FRAMES = 20
@@ -50,7 +50,7 @@ def recorded() -> Stream:
 def _touching() -> Stream:
     if folder := os.environ.get("TOUCHD_HAART"):
         path = Path(folder) / "testWITHLABELS.csv.gz"
-        found = [realign(recording) for recording in read_recordings(path, Selection(covers=("none",)))]
+        found = [realign(recording) for recording in read_recordings(path, {"cover": ["none"]})]
         touching = [recording for recording in found if recording.gesture != "notouch"]
         return with_quiet(touching, [recording for recording in found if recording.gesture == "notouch"])
     rng = random.Random(1)
