@@ -97,9 +97,9 @@ class Service:
         """Process the oldest item in a pad's queue; return whether there was one."""
         item = pad.queue.get_nowait()
         if isinstance(item, Frame):
-            # The store must get a frame before the events that it causes.
-            if self.parts.kept is not None:
-                self.parts.kept.put_frame(item, pad.name)
+            # The touch sink must get a frame before the events that it causes.
+            if self.parts.touches is not None:
+                self.parts.touches.put_frame(item, pad.name)
             pad.pipeline.on_frame(item)
             pad.frames += 1
             self._show(pad, item)
