@@ -28,6 +28,7 @@ TOKEN = re.compile(
       \x1b \[ [0-?]* [ -/]* [@-~] | \x1b .      # what clears the screen or sets a colour
     | \* [0-9A-Fa-f]{2} \s* $                   # a checksum after an asterisk, as NMEA has it
     | 0 [xX] (?P<hex> [0-9A-Fa-f]{1,8} ) \b | (?P<missing> nan \b | null \b )
+    | (?! \d+ [eE] \d+ \b ) \d+ [A-Fa-f] [0-9A-Fa-f]* \b  # hexadecimal without 0x, which is not a number
     | [A-Za-z_]+ (?P<of_word> \d* ) [A-Za-z_]*  # a word, perhaps with a number: R0, A7
     | (?P<number> (?: (?<![\d.]) [-+] )? (?: \d+ \.? \d* | \. \d+ ) (?: [eE] [-+]? \d+ )? )
       [A-Za-z_]* (?P<is_label> ["')\]]? \s* [:=] )?
