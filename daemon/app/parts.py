@@ -20,7 +20,7 @@ from touchd.daemon.robot.sink import link_to_robot
 from touchd.daemon.sinks.journal import open_journal
 from touchd.daemon.sinks.labels import Labeller
 from touchd.daemon.sinks.sink import Sink
-from touchd.daemon.sinks.touch_store import TouchSink, touch_sink
+from touchd.daemon.sinks.touch_store import TouchSink, keep_touches
 from touchd.drivers.errors import written_out
 from touchd.drivers.frame import COLUMNS, NO_TOUCH, OTHER, ROWS
 from touchd.drivers.installed import EXTRAS, how_to_install
@@ -54,14 +54,15 @@ class PadChannel:
 class Parts:
     """The configured pads and sinks. Nothing runs yet.
 
-    sinks: the robot comes last, so that its own events follow the answer that caused them. live, touches,
-    bridges: the sinks that take frames too; None if not configured. labeller: takes labels from any source.
+    sinks: the robot comes last, so that its own events follow the answer that caused them. live, kept,
+    bridges: those of the sinks that take frames, too; None if not configured. labeller: takes labels from
+    wherever they come.
     """
 
     pads: tuple[PadChannel, ...]
     sinks: tuple[Sink, ...]
     live: LiveServer | None
-    touches: TouchSink | None
+    kept: TouchSink | None
     bridges: tuple[Bridge, ...]
     labeller: Labeller
 
@@ -92,15 +93,15 @@ def _with_sinks(
 ) -> Parts:
     """Return the pads with the configured sinks."""
     sinks: list[Sink] = []
-    touches: TouchSink | None = None
+    kept: TouchSink | None = None
     live: LiveServer | None = None
     if settings.journal is not None:
         sinks.append(open_journal(settings.journal))
         if settings.journal.keep_touches is not None:
-            touches = touch_sink(settings, settings.journal.file, settings.journal.keep_touches)
-            sinks.append(touches)
+            kept = keep_touches(settings, settings.journal.file, settings.journal.keep_touches)
+            sinks.append(kept)
     gestures = {name: model.labels for name, model in models.items()}
-    labeller = Labeller(emit, gestures, are_saved=touches is not None)
+    labeller = Labeller(emit, gestures, are_kept=kept is not None)
     if settings.live is not None:
         # It brings asyncio and websockets, which no daemon without a page needs.
         from touchd.daemon.live.server import LiveServer
@@ -111,7 +112,7 @@ def _with_sinks(
     sinks += bridges
     if settings.robot is not None:
         sinks.append(link_to_robot(settings, emit))
-    return Parts(pads, tuple(sinks), live, touches, bridges, labeller)
+    return Parts(pads, tuple(sinks), live, kept, bridges, labeller)
 
 
 def make_bridges(settings: Settings, models: Mapping[str, Classifier]) -> tuple[Bridge, ...]:

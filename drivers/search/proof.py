@@ -46,7 +46,8 @@ CONVERTERS = (1023.0, 4095.0, 65535.0)
 ROUND = tuple(each * 10.0**power for power in range(-6, 7) for each in (1, 2, 5))
 # A press must move a cell by this many of the model's counts; a lighter one is detected but not recognised.
 # At rest, cells move by up to 13. Values that fall from the lower half of the scale, or rise from the upper
-# half, need a firm press: when a hand leaves they move by 20 to 33 in three of the recordings.
+# half, need a firm press: when a hand leaves they move by 20 to 33 in three of the recordings. Values below 0
+# are lost; cells of the recordings rest at down to -36.
 LEAST_PRESS, FIRM_PRESS = 16.0, 48.0
 
 
@@ -117,6 +118,9 @@ def objection(placed: Placement) -> str:
     """Return why a placement's cells are not a pressed pad; "" if they are proven to be one."""
     if missing := _unpressed(placed.described, placed.values):
         return missing
+    lowest = placed.values if placed.described.invert else np.quantile(placed.values, AT_REST, axis=0)
+    if -float(lowest.min()) * MAX_COUNT > FIRM_PRESS * placed.described.full_scale:
+        return "its numbers fall below 0, which touchd reads as 0: print pressure from 0 up"
     moved = movement(placed.values)
     if deviations(moved, placed.cells) < SURE:
         return "neighbouring cells do not move together: press one place at a time, all over the pad"

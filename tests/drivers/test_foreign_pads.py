@@ -103,6 +103,8 @@ REFUSED: dict[str, Printed | tuple[Printed, str]] = {
     "bare rows": (lambda v, n: table(v), "empty line"),
     "hexadecimal": lambda v, n: " ".join(f"{x:03X}" for x in v.ravel()) + "\r\n",
     "hexadecimal pairs": lambda v, n: " ".join(f"{x // 4:02x}" for x in v.ravel()) + "\r\n",
+    "below 0": (lambda v, n: line(v - 512), "below 0"),
+    "falls below 0": (lambda v, n: line(-v), "below 0"),
     "decimal commas": lambda v, n: ";".join(f"{x // 9},{x % 9}" for x in v.ravel()) + "\n",
     "row and column beside": lambda v, n: "".join(f"{i // 9},{i % 9},{x}\n" for i, x in enumerate(v.flat)),
     "row numbers inside": lambda v, n: (
