@@ -20,7 +20,7 @@ from touchd.daemon.robot.sink import link_to_robot
 from touchd.daemon.sinks.journal import open_journal
 from touchd.daemon.sinks.labels import Labeller
 from touchd.daemon.sinks.sink import Sink
-from touchd.daemon.sinks.touch_store import TouchSink, keep_touches
+from touchd.daemon.sinks.touch_store import TouchSink, touch_sink
 from touchd.drivers.errors import written_out
 from touchd.drivers.frame import COLUMNS, NO_TOUCH, OTHER, ROWS
 from touchd.drivers.installed import EXTRAS, how_to_install
@@ -54,15 +54,14 @@ class PadChannel:
 class Parts:
     """The configured pads and sinks. Nothing runs yet.
 
-    sinks: the robot comes last, so that its own events follow the answer that caused them. live, kept,
-    bridges: those of the sinks that take frames, too; None if not configured. labeller: takes labels from
-    wherever they come.
+    sinks: the robot comes last, so that its own events follow the answer that caused them. live, touches,
+    bridges: the sinks that take frames too; None if not configured. labeller: takes labels from any source.
     """
 
     pads: tuple[PadChannel, ...]
     sinks: tuple[Sink, ...]
     live: LiveServer | None
-    kept: TouchSink | None
+    touches: TouchSink | None
     bridges: tuple[Bridge, ...]
     labeller: Labeller
 
@@ -93,15 +92,15 @@ def _with_sinks(
 ) -> Parts:
     """Return the pads with the configured sinks."""
     sinks: list[Sink] = []
-    kept: TouchSink | None = None
+    touches: TouchSink | None = None
     live: LiveServer | None = None
     if settings.journal is not None:
         sinks.append(open_journal(settings.journal))
         if settings.journal.keep_touches is not None:
-            kept = keep_touches(settings, settings.journal.file, settings.journal.keep_touches)
-            sinks.append(kept)
+            touches = touch_sink(settings, settings.journal.file, settings.journal.keep_touches)
+            sinks.append(touches)
     gestures = {name: model.labels for name, model in models.items()}
-    labeller = Labeller(emit, gestures, are_kept=kept is not None)
+    labeller = Labeller(emit, gestures, are_saved=touches is not None)
     if settings.live is not None:
         # It brings asyncio and websockets, which no daemon without a page needs.
         from touchd.daemon.live.server import LiveServer
@@ -112,7 +111,7 @@ def _with_sinks(
     sinks += bridges
     if settings.robot is not None:
         sinks.append(link_to_robot(settings, emit))
-    return Parts(pads, tuple(sinks), live, kept, bridges, labeller)
+    return Parts(pads, tuple(sinks), live, touches, bridges, labeller)
 
 
 def make_bridges(settings: Settings, models: Mapping[str, Classifier]) -> tuple[Bridge, ...]:

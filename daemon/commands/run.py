@@ -106,7 +106,7 @@ def main(options: argparse.Namespace) -> int:
         else:
             handler = _log_to_stderr(closing)
             form = _in_words(settings) if in_words else encode
-            service.tell(LinesSink("stdout", sys.stdout.fileno(), form, signals.stop))
+            service.add_sink(LinesSink("stdout", sys.stdout.fileno(), form, signals.stop))
             if in_words and page and live and live.host in EVERY_ADDRESS:
                 # Phones reach it.
                 sys.stderr.write(qr_code(page))
@@ -128,7 +128,7 @@ def _show_in_terminal(service: Service, settings: Settings, page: str, closing: 
     first, *_ = settings.pads.values()
     view = View(f"{first.sensor.port} · {page}" if page else first.sensor.port, settings)
     closing.enter_context(view)
-    service.tell(view)
+    service.add_sink(view)
     service.watchers.append(view)
     view.labeller = service.parts.labeller
     closing.enter_context(listening(view.on_key))

@@ -1,4 +1,4 @@
-"""What the doctor works with: a sample of what a pad sends, and the result of a check."""
+"""A sample of what a pad sends, and the result of a check."""
 
 import time
 from collections.abc import Callable
@@ -38,7 +38,7 @@ class Check:
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """What a pad sent in a while.
+    """What a pad sent while the doctor listened.
 
     frames: in order. damaged: frames refused as damaged after the first intact one. data: the latest bytes,
     at most LATEST_BYTES. ended_s: when listening ended, `time.monotonic()`. clipped: the share of frames with

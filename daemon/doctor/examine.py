@@ -29,7 +29,7 @@ def examine(
     """Yield each check as soon as it is made.
 
     seconds: how long to listen to the pad. say: shows a line to the user. talk: the terminal of a user who
-    can press the pad, if there is one. grid: the pad's rows and columns, if they were told.
+    can press the pad, if there is one. grid: the pad's rows and columns, if known.
     """
     check, opened = check_opening(settings.sensor)
     yield check

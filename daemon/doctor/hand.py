@@ -23,23 +23,23 @@ from touchd.drivers.pad.port import Line, forget_waiting, read_waiting
 from touchd.drivers.search.listen import Chunk, listen
 from touchd.drivers.search.search import Finding, Grid, placements, search, survey
 
-# A pad of 8 frames a second sends 16 in this time; half of them are enough to see their size.
+# The slowest pad sends 16 frames in this time; 8 show their size.
 REST_S = 2.0
 PRESS_S = 40.0
 LISTEN_S = 8.0
-# Extra time for a hand that presses the pad but has not yet reached enough of it to prove the grid.
+# Extra time for a hand that has not yet pressed enough of the pad to prove the grid.
 LONGER_S = 20.0
-LOOK_EVERY_S = 3.0
+SEARCH_EVERY_S = 3.0
 CORNER_S = 20.0
 PRESSED_COUNTS = 40
-# A hand that holds its corner stays within a taxel for this long; one that still wanders passes others.
+# A hand that holds a corner stays within a taxel for this long; one that is still moving does not.
 HELD_S = 1.0
 HELD_TAXELS = 1.0
 PICTURE_SCALE = 2
 SHOW_EVERY_S = 0.08
 
-# Where a press on the top left corner shows, as (is below, is to the right), and the two ways to bring it to
-# the top left, as (turn, mirror): a turn alone, and a turn with a mirror.
+# By the corner at which a press on the top left appears, (is below, is to the right): the two ways to bring
+# it to the top left, as (turn, mirror): a turn alone, and a turn with a mirror.
 TURNS = {
     (False, False): ((0, False), (90, True)),
     (False, True): ((270, False), (0, True)),
@@ -72,9 +72,9 @@ def add_grid(parser: argparse.ArgumentParser) -> None:
 
 
 def ask_grid(console: Console, opened: Line) -> Grid | None:
-    """Say how large the pad's frames are, and ask for its rows and columns; None if nothing has frames.
+    """Print the size of the pad's frames and ask for its rows and columns; None if no frames are found.
 
-    A grid that does not fit the frames is asked for again.
+    Asks again if a grid does not fit the frames.
     """
     forget_waiting(opened)
     chunks = [Chunk(b"", time.monotonic()), *listen(opened, REST_S)]
@@ -96,19 +96,19 @@ def ask_grid(console: Console, opened: Line) -> Grid | None:
         if not any(placements(chunks, grid)):
             console.print(f"{seen.frame} do not fit {grid[0]}x{grid[1]} cells", style="yellow")
             grid = None
-    # What came while the person typed is not complete.
+    # What arrived while the person typed is not complete.
     forget_waiting(opened)
     return grid
 
 
-def find_with_a_hand(console: Console, opened: Line, told: Grid | None) -> tuple[Finding, list[Chunk]]:
-    """Ask for the grid, for rest and for presses until the description is proven twice, or for PRESS_S.
+def find_with_a_hand(console: Console, opened: Line, grid: Grid | None) -> tuple[Finding, list[Chunk]]:
+    """Ask for rest and for presses until the description is proven twice, or for PRESS_S.
 
-    Returns what was found, and what arrived before the presses.
+    grid: asked for if None. Returns what was found, and what arrived before the presses.
     """
-    grid = told or ask_grid(console, opened)
+    grid = grid or ask_grid(console, opened)
     console.print(f"Leave the pad alone for {REST_S:g} s ...", style="cyan")
-    # The empty chunk marks the start, so that silence of a pad that nobody presses yet counts.
+    # The empty chunk marks the start, so that silence before the first bytes counts as a pause.
     at_rest = [Chunk(b"", time.monotonic()), *listen(opened, REST_S)]
     chunks = [*at_rest]
     console.print(
@@ -118,7 +118,7 @@ def find_with_a_hand(console: Console, opened: Line, told: Grid | None) -> tuple
     before: Finding | None = None
     with ThreadPoolExecutor(1) as searching:
         while True:
-            chunks += listen(opened, LOOK_EVERY_S)
+            chunks += listen(opened, SEARCH_EVERY_S)
             search_now = searching.submit(search, tuple(chunks), grid)
             # Listen during the search too: a line that nobody reads loses frames.
             chunks += listen(opened, math.inf, lambda _: search_now.done())  # noqa: B023 - called in this turn
@@ -129,7 +129,7 @@ def find_with_a_hand(console: Console, opened: Line, told: Grid | None) -> tuple
 
 
 def find_without_asking(say: Callable[[str], None], opened: Line, grids: Sequence[Grid | None]) -> Finding:
-    """Search what arrives while somebody may press the pad, with each of the grids until one is proven."""
+    """Search what arrives while somebody may press the pad, for each of the grids; return the best."""
     say(f"press the pad: listening for {LISTEN_S:g} s ...")
     chunks = listen(opened, LISTEN_S)
     found = [search(chunks, grid) for grid in grids]
@@ -141,10 +141,10 @@ def find_without_asking(say: Callable[[str], None], opened: Line, grids: Sequenc
 
 
 def _is_again(finding: Finding, before: Finding) -> bool:
-    """Whether two searches found the same cells; their scale may grow with a firmer press.
+    """Whether two searches agree; the scale may grow with a firmer press.
 
-    While a hand has reached a part of the pad only, the wrong cells may be proven. What more presses cannot
-    mend counts if it was missing twice.
+    A single proof may be wrong while the hand has pressed only a part of the pad. Two failures agree if more
+    presses cannot help.
     """
     found, earlier = finding.proposed, before.proposed
     if found is None or earlier is None:

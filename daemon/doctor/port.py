@@ -22,7 +22,7 @@ def lasting_name(port: str) -> tuple[str, str]:
     """Return the best name for a port in a configuration, and why it is that one, in a few words.
 
     /dev/ttyACM0 is whichever board was plugged in first, and two boards may both claim /dev/touchd-pad.
-    A name that the user chose, other than these, is returned as it is.
+    Any other name that the user chose is returned unchanged.
     """
     is_chosen = "://" in port or (os.path.islink(port) and Path(port).name != "touchd-pad")
     if is_chosen or not os.path.exists(port):
@@ -41,8 +41,8 @@ def lasting_name(port: str) -> tuple[str, str]:
 
 
 def _why_not_by_number(device: str) -> str:
-    """Say why a port's board cannot be told by its serial number; "" if it can."""
-    # A board with two ports has one socket.
+    """Return why a serial number does not identify a port's board; "" if it does."""
+    # The two ports of one board are at the same socket.
     boards = {
         each.device: ((each.vid, each.pid, each.serial_number), str(each.location).partition(":")[0])
         for each in comports()
@@ -50,12 +50,12 @@ def _why_not_by_number(device: str) -> str:
     own, socket = boards.get(device, ((None, None, None), ""))
     if not own[2]:
         return "the board has no serial number"
-    is_alike = any(board == own and place != socket for board, place in boards.values())
-    return "another board has the same serial number" if is_alike else ""
+    has_twin = any(board == own and place != socket for board, place in boards.values())
+    return "another board has the same serial number" if has_twin else ""
 
 
 def advice_for(port: str, error: SensorError) -> str:
-    """Say what to do about a port that cannot be opened or read."""
+    """Return what to do about a port that cannot be opened or read."""
     if "://" in port:
         missing = "is the pad's board switched on, in this network, and no other program connected to it?"
         return missing if error.kind == "missing" else ""
@@ -76,7 +76,7 @@ def advice_for(port: str, error: SensorError) -> str:
 
 
 def group_of_the_next_login() -> str:
-    """Say that this user is in a group that may open ports, but this session is not yet; "" if not so."""
+    """Return that this user is in a group that may open ports but this session is not yet; "" if not so."""
     with suppress(KeyError):
         user, own = pwd.getpwuid(os.geteuid()).pw_name, {os.getegid(), *os.getgroups()}
         for group in grp.getgrall():
@@ -87,7 +87,7 @@ def group_of_the_next_login() -> str:
 
 
 def _how_to_get_permission(port: str, number: int | None) -> str:
-    """Say how a device may be opened: by the service, in a container, or by this user."""
+    """Return how a device may be opened: by the service, in a container, or by this user."""
     if number == errno.EPERM and "INVOCATION_ID" in os.environ:
         return (
             "the service's unit does not allow it; sudo systemctl edit touchd, add "
@@ -111,8 +111,8 @@ def programs_at(port: str) -> str:
     with suppress(OSError):
         device = os.stat(port).st_rdev
         for process in sorted(Path("/proc").glob("[0-9]*")):
-            # A process may end while it is looked at, or belong to another user. Follow links to
-            # devices alone: a file on a network that hangs would hang this thread too.
+            # A process may have ended, or belong to another user. Follow links to devices only: a file on
+            # a network that hangs would hang this thread too.
             with suppress(OSError):
                 opened = [fd for fd in (process / "fd").iterdir() if os.readlink(fd).startswith("/dev/")]
                 if process.name != str(os.getpid()) and any(os.stat(fd).st_rdev == device for fd in opened):

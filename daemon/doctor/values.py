@@ -19,25 +19,28 @@ from touchd.drivers.search.search import as_yaml
 from touchd.model.classifier import KNOWN_REST_COUNTS, Classifier
 from touchd.model.detector import Detector
 
-# In HAART's recordings a taxel at rest reads 2.5 counts on average and 28 at most, with a noise of 0.8.
+# Mean counts at rest of a pad that needs `invert`; counts of a taxel under a load. In HAART's recordings a
+# taxel at rest reads 2.5 counts on average and 28 at most, with a noise of 0.8.
 WRONG_WAY_COUNTS = 0.75 * MAX_COUNT
 LOADED_COUNTS = 50.0
 # How long TaxelFaults needs to distinguish a stuck taxel from a quiet one.
 HEALTH_S = STILL_S + 0.5
+# Rows and columns of a corner.
 CORNER_LINES = {0, 1, 6, 7}
 
 # The most noise that an untouched taxel may have.
 MOST_NOISE_COUNTS = 4.0
-# A vibration of the whole pad: a sine of this amplitude that explains half of what the mean varies.
+# The whole pad vibrates if a sine of this amplitude explains this share of the variance of its mean.
 LEAST_SINE_COUNTS, EXPLAINED = 0.5, 0.5
-# A loose line steps by this much within a few frames, and back, and four times as far as most lines.
+# A row or column is loose if its mean steps up and down by this much within so many frames, and by ALONE
+# times as much as the median row or column.
 STEP_FRAMES, LEAST_STEP_COUNTS, ALONE = 12, 2.0, 4.0
-# A quarter of the taxels at this count is too heavy a load, or a short.
+# A taxel at its limit; a quarter of the pad there has too heavy a load, or a short.
 SATURATED_COUNT = 1000
-# Values jump if a taxel reads this much more, or less, than in the frames before and after, in a third of
-# all frames.
+# A taxel jumps if it reads this much more, or less, than in the frames before and after; values are garbled
+# if more than this share of the frames has a jump.
 JUMP_COUNTS, GARBLED_SHARE = 100, 0.35
-# A line that clips or damages one frame in fifty.
+# Share of damaged or clipped frames that is too many.
 MANY_SHARE = 0.02
 
 
@@ -47,7 +50,7 @@ def check_rest(sample: Sample, settings: Settings) -> Check:
     found = f"{level.mean():.1f} counts a taxel, {level.max():.0f} at most"
     if level.mean() > WRONG_WAY_COUNTS:
         return Check("rest", "to do", f"{found}: upside down", _turned_over(settings))
-    # A pad may rest high everywhere, and unevenly; an object raises some taxels far above the median.
+    # A pad may rest high everywhere and unevenly; an object raises some taxels far above the median.
     lies = level > LOADED_COUNTS + 2 * np.median(level)
     if lies.any():
         advice = "take it off; if nothing does, look for a short there"
@@ -178,7 +181,7 @@ def check_orientation(sample: Sample, rest: NDArray[np.float64], settings: Setti
     row, column = _place(above[-1] if is_corner else above.max(axis=0))
     place = f"at row {row + 1} column {column + 1}"
     if is_corner:
-        # As `init` turns it: clockwise, until this corner is at the top left.
+        # As in `init`: clockwise, until this corner is at the top left.
         (turn, _), _ = TURNS[row >= ROWS // 2, column >= COLUMNS // 2]
         advice = f"turn the pad, or add {turn} to sensor.turn; if it is mirrored, swap its plugs instead"
         found = f"the top left corner is {place}"

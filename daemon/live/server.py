@@ -140,7 +140,7 @@ class LiveServer:
             max_size=MOST_MESSAGE_BYTES,
             max_queue=1,
         )
-        status = asyncio.create_task(self._tell_status())
+        status = asyncio.create_task(self._send_status())
         await self._stopping.wait()
         status.cancel()
         server.close()
@@ -172,7 +172,7 @@ class LiveServer:
         finally:
             self._viewers.discard(connection)
 
-    async def _tell_status(self) -> None:
+    async def _send_status(self) -> None:
         while True:
             await asyncio.sleep(STATUS_EVERY_S)
             self._take()
@@ -202,7 +202,7 @@ class LiveServer:
             case _:
                 for pad in [item.pad] if not isinstance(item, RobotEvent) else self._pads:
                     self._pads[pad].put(item)
-                self._viewers.tell(encode_message(item))
+                self._viewers.send(encode_message(item))
 
     def _state(self) -> list[str]:
         """Return the state of each pad."""

@@ -62,7 +62,7 @@ class Viewers(set[ServerConnection]):
     Use in the event loop's thread only.
     """
 
-    def tell(self, message: str) -> None:
+    def send(self, message: str) -> None:
         """Send a message that no viewer may miss."""
         for viewer in [one for one in self if _waiting_bytes(one) > MOST_WAITING_BYTES]:
             viewer.transport.abort()

@@ -15,8 +15,8 @@ from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH, OTHER
 Probability = Annotated[float, msgspec.Meta(ge=0, le=1)]
 FrameCount = Annotated[int, msgspec.Meta(ge=1, le=432)]
 
-# A gesture has changed when the log odds of another against the told one have risen by this, counting the
-# second number as the least probability. With 6, 2 % more changes are told, and 1 % more that are none.
+# A gesture has changed when the log odds of another one against the told one have risen by this; smaller
+# probabilities count as the least one. With 6, 2 % more changes are told, and 1 % more false ones.
 CHANGED_LOG_ODDS = 6.5
 LEAST_PROBABILITY = 0.01
 
@@ -27,10 +27,10 @@ SURE_FALLS = 0.2
 # The final answer, and the answer to an ended touch, are told from these confidences on. They are lower than
 # speak_above, as waiting helps no more; docs/decision.md has their curves.
 FINAL_ABOVE = 0.4
-# By how much a new answer must be surer than the one that the robot was told, to replace it.
+# How much more probable another gesture must be to replace the told one.
 REVISE_MARGIN = 0.1
-# "No touch" counts this much in the answer to an ended touch: the tracker has followed it from its first to
-# its last contact. Without this, one light touch in a hundred more is not named.
+# Weight of "notouch" in the answer to an ended touch, which the tracker has followed from first to last
+# contact. With full weight, 1 % more of light touches are not named.
 ENDED_NOTOUCH = 0.15
 
 
@@ -146,7 +146,7 @@ class Decision:
         return stage == "uncertain" or (stage == "released" and self.told is None)
 
     def is_sure_of_released(self, probabilities: NDArray[np.float64], *, is_over: bool) -> bool:
-        """Whether to answer a touch whose hand has left. is_over: so long ago that it has likely ended."""
+        """Whether to answer a touch whose hand has left. is_over: whether the touch has likely ended."""
         scene = self.weigh(probabilities * self._ended if is_over else probabilities)
         best, limit = _likeliest(scene), self._limit("released" if is_over else "early")
         return self.told is None and best != NO_TOUCH and scene[best] >= limit

@@ -15,7 +15,7 @@ EndReason: TypeAlias = Literal["released", "settled", "longest", "gap", "sensor"
 # The largest integers that all readers of JSON keep exactly.
 Count: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
 
-# What the person who runs a trial says of it, by key; see `daemon.tags`. Without any, events lack the field.
+# Values that the experimenter sets, by key; see `daemon.sinks.tags`. Without any, events lack the field.
 Tags: TypeAlias = dict[str, str] | UnsetType
 
 UNCERTAIN = "uncertain"
@@ -109,7 +109,7 @@ class RobotAction(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", t
 
 
 class Label(msgspec.Struct, frozen=True, kw_only=True, tag_field="type", tag="label"):
-    """A person says what a touch was; of several labels of a touch the last holds.
+    """What a touch was, from a person; of several labels of a touch the last holds.
 
     began: the time of the touch's `touch_began`, as numbers begin with 1 again after a restart.
     """

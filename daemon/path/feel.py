@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
 
-# A taxel is touched if it rises by as many deviations of its noise, and at least this many counts.
+# A taxel is touched if it rises by this many deviations of its noise and at least this many counts.
 TOUCHED_DEVIATIONS, TOUCHED_COUNTS = 4.0, 4.0
 # The centroid is smoothed by this share a frame (4 frames), so that noise adds no path.
 CENTROID_SHARE = 0.25

@@ -67,17 +67,17 @@ FAULTS = {
     ),
 }
 
-# A pad is checked every half a second, which takes a twentieth of the time of a check for each frame. A fault
-# has begun, or ended, once ten checks in a row say so: noise that a hand leaves behind lasts three seconds.
+# A pad is checked every half second, which costs a twentieth of a check per frame. A fault has begun, or
+# ended, after ten equal checks in a row: the noise that a hand leaves behind lasts three seconds.
 CHECK_MS = 500
 LASTING_CHECKS = 10
-# Mean noise above which light touches go unnoticed; a quieter taxel than HAART's counts like one of them.
+# Mean noise above which light touches are missed; a taxel quieter than HAART's counts like one of HAART's.
 USUAL_NOISE_COUNTS, MOST_NOISE_COUNTS = 1.0, 1.4
 # A pad that restarts this often in a minute is degraded.
 OFTEN_RESTARTS = 3
-# Each taxel of HAART's fabric pad changes at least every 2 s: on a pad with noise, a taxel that stands still
-# for this long is broken. A pad has noise if three quarters of its taxels change in this share of the frames
-# of as long a time without a hand, as on HAART's and the robot's pads; others are silent at rest.
+# On a pad with noise, a taxel that stands still for this long is broken: each taxel of HAART's pad changes
+# at least every 2 s. A pad has noise if, in as long a time without a hand, three quarters of its taxels
+# change in this share of the frames, as on HAART's and the robot's pads; others are silent at rest.
 STILL_S = 6.0
 NOISY_SHARE = 0.3
 
@@ -102,7 +102,7 @@ class PadMonitor:
         self._block: list[Frame] = []
         self._is_untouched = True
         self._without_gap = 0
-        # What was said of the untouched pad since the last check, None if nothing.
+        # Whether the untouched pad was noisy since the last check; None if its noise was not measured.
         self._is_noisy: bool | None = None
         # How many checks in a row have contradicted each fault's present state.
         self._contradicted: dict[str, int] = {}
@@ -145,7 +145,7 @@ class PadMonitor:
         return self._follow(found, frame.host_s)
 
     def _gaps(self) -> dict[str, str]:
-        """Return whether rest cannot be measured, as frames have gaps or come too seldom."""
+        """Return the fault that rest cannot be measured, as frames have gaps or come too seldom."""
         took_s = self._block[-1].host_s - self._block[0].host_s
         rate_hz = (len(self._block) - 1) / max(took_s, 0.001)
         if rate_hz < MIN_RATE_HZ - 0.5:
@@ -167,7 +167,7 @@ class PadMonitor:
                 else:
                     self._lasting[kind] = found[kind]
             if kind in self._lasting:
-                # What is named may change while the fault lasts, such as the taxels.
+                # Details such as the taxels may change while the fault lasts.
                 self._lasting[kind] = found.get(kind, self._lasting[kind])
                 self._log.begin(kind, self._lasting[kind], now_s, cause=self._lasting[kind])
         worst = next((kind for kind in FAULTS if kind in self._lasting and FAULTS[kind].degrades), "")
@@ -181,7 +181,7 @@ class PadMonitor:
 
 
 class _Restarts:
-    """Whether a pad's board restarts often, by the parser's count."""
+    """Detects that a pad's board restarts often, by the parser's count."""
 
     def __init__(self, parser: FrameParser | None) -> None:
         self._parser = parser

@@ -39,20 +39,20 @@ STAGES: tuple[Stage, Stage, Stage] = ("early", "revised", "final")
 # is there. The mean of two such windows shows whether the gesture has changed (docs/sessions.md).
 ONGOING_FRAMES, ONGOING_STRIDE_FRAMES = 42, 18
 ONGOING_WINDOWS = 2
-# An answer that is due in a silence longer than a pat's lift-off waits until the silence proves to be a pause
-# (then it is included: in HAART 90 % right, 70 without) or the end (then it is excluded: 80 %, 60 with). An
-# ended touch is answered from the touch and as many frames after it: that the hand has left says much;
-# without it, 11 instead of 33 of 35 single strokes are named.
+# The longest lift-off of a pat. An answer that is due after a longer silence waits until contact resumes,
+# and then includes the silence (in HAART, 90 % are right instead of 70), or until the touch has ended, and
+# then excludes it (80 % instead of 60). The answer to an ended touch includes this many frames after the last
+# contact, which show that the hand has left: without them, 11 instead of 33 of 35 single strokes are named.
 LIFT_OFF_FRAMES = 13
-# If unsure, that answer waits for half a second without contact: at the touch's end, answers come 0.1 to
-# 0.2 s later on average.
+# An answer that is not sure then waits for half a second without contact. At the touch's end, it would come
+# 0.1 to 0.2 s later on average.
 UNSURE_FRAMES = 27
 SHOWN_STRIDE_FRAMES = 3  # while there are viewers
-# Frames of a touch given to the network at once. A step of nine frames takes 0.25 ms longer than a step of
-# one; steps of nine take half the processor time of steps of three.
+# Frames per step of the network. A step of nine takes 0.25 ms longer than a step of one, and steps of nine
+# take half the processor time of steps of three.
 FEED_FRAMES = 9
-# A wake-up with cold caches costs more than a frame, so three are read at once unless an answer may be due;
-# `touch_began` then comes within 60 ms of the frame that shows it.
+# Waking up with cold caches costs more than a frame, so three are read at once unless an answer may be due.
+# `touch_began` then comes up to 60 ms after the frame that shows it.
 TOGETHER_FRAMES = 3
 
 Viewers: TypeAlias = Callable[[], Sequence[Callable[[LivePrediction], None]]]
@@ -79,8 +79,8 @@ class Clock:
 class Touch:
     """The current touch, of `length` frames so far.
 
-    rest: what each of the 64 taxels read before it. due: the stages still to come, with the length at which
-    each is answered. off_frames: since the last contact. answered_release: the length at which the touch was
+    rest: the counts of the 64 taxels before it. due: the stages still to come, with the length at which each
+    is answered. off_frames: since the last contact. answered_release: the length at which the touch was
     answered because the hand had left. outputs: the model's probabilities by length. state: the model's,
     after the touch's first `fed` frames. recent: the model's latest outputs after the final answer.
     next_ongoing: the length at which the next one is due.
@@ -109,7 +109,7 @@ class Touch:
 
     @property
     def is_answer_near(self) -> bool:
-        """Whether an answer may be due by the next read but one: the reader already waits for the next."""
+        """Whether an answer may be due before the read after the next, which the reader already waits for."""
         marks = [length - self.length for length in (self.next_ongoing, *(mark for mark, _ in self.due))]
         has_left = [frames - self.off_frames for frames in (LIFT_OFF_FRAMES, UNSURE_FRAMES)]
         return self.waits_until_sure or any(0 < left <= 2 * TOGETHER_FRAMES for left in marks + has_left)
@@ -198,7 +198,7 @@ class Pipeline:
             self._touch.degraded |= frame.bridged
             self._touch.meter.add(frame.pressure)
             self._feed(self._touch)
-            # In a longer silence, the frames off the pad become fewer when the network sees a hand in it.
+            # Wait in a longer silence; when the hand is detected again, off_frames becomes smaller.
             if self._touch.off_frames <= longest:
                 self._answer_what_is_due(self._touch, frame)
             if self._touch.off_frames in (LIFT_OFF_FRAMES, UNSURE_FRAMES):
@@ -251,7 +251,7 @@ class Pipeline:
                 show(live)
 
     def _window(self, touch: Touch, length: int, frames: int) -> NDArray[np.float32]:
-        """Return the last `frames` of the touch's first `length`. The tracker's rest may be a later one."""
+        """Return the last `frames` of the touch's first `length`, less the rest before it if that is high."""
         return as_known(self._ring.window(touch.first_index + length, frames), touch.rest)
 
     def _answer_what_is_due(self, touch: Touch, frame: GridFrame) -> None:
@@ -366,7 +366,7 @@ class Pipeline:
 
 
 def tracker_of(settings: PipelineSettings, model: Classifier, detector: Detector) -> TouchTracker:
-    """Return what finds a pad's touches; in doubt it asks the model, if that knows `notouch`."""
+    """Return a pad's tracker, which asks the model in doubt if that knows `notouch`."""
 
     def p_no_touch(frames: NDArray[np.float32], rest: NDArray[np.float32]) -> float:
         return float(model.probabilities(as_known(frames, rest))[model.labels.index(NO_TOUCH)])
@@ -376,11 +376,11 @@ def tracker_of(settings: PipelineSettings, model: Classifier, detector: Detector
 
 
 def _leaves(load: NDArray[np.float32]) -> bool:
-    """Whether the hand leaves a soft pad: (T, 8, 8) counts fall from sixth to sixth, to less than half."""
+    """Whether the hand leaves a soft pad: all six parts of (T, 8, 8) counts fall, to less than half."""
     means = [sixth.mean() for sixth in np.array_split(load, 6)]
     return bool((np.diff(means) < 0).all() and means[-1] < means[0] / 2)
 
 
 def _as_sent(frame: GridFrame) -> int:
-    """Return the sensor's clock at a point of the grid as the sensor sends it, (0 to 2^32 - 1) ms."""
+    """Return the sensor's clock at a grid frame as the sensor sends it, 0 to 2^32 - 1 ms."""
     return round(frame.sensor_ms) % CLOCK_MODULUS

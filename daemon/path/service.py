@@ -32,7 +32,7 @@ log = logging.getLogger(__name__)
 class Service:
     """The daemon's loop and its parts. Raises TouchdError when the settings cannot be used.
 
-    events: where all of them pass through. watchers: get every frame.
+    events: passes every event to the sinks. watchers: get every frame.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -43,7 +43,7 @@ class Service:
         self.pads = self.parts.pads
         self.watchers: list[LiveServer | View] = [self.parts.live] if self.parts.live else []
 
-    def tell(self, sink: Sink) -> None:
+    def add_sink(self, sink: Sink) -> None:
         """Send every event to this sink too, whatever the configuration. Call it before `run`."""
         self.events.sinks += (sink,)
 
@@ -67,7 +67,7 @@ class Service:
             self._end()
 
     def _frames_together(self, pad: PadChannel) -> int:
-        """How many frames a pad's reader may read at once: one while somebody is shown them."""
+        """Return how many frames a pad's reader may read at once: one while they are shown to somebody."""
         is_shown = any(bridge.frames_hz is not None for bridge in self.parts.bridges)
         return 1 if is_shown or self._viewers() else pad.pipeline.frames_together
 
@@ -97,9 +97,9 @@ class Service:
         """Process the oldest item in a pad's queue; return whether there was one."""
         item = pad.queue.get_nowait()
         if isinstance(item, Frame):
-            # The store must get a frame before the events that it causes.
-            if self.parts.kept is not None:
-                self.parts.kept.put_frame(item, pad.name)
+            # The touch sink must get a frame before the events that it causes.
+            if self.parts.touches is not None:
+                self.parts.touches.put_frame(item, pad.name)
             pad.pipeline.on_frame(item)
             pad.frames += 1
             self._show(pad, item)

@@ -9,9 +9,9 @@ from touchd.daemon.path.events import UNCERTAIN, ActionKind, Stage
 from touchd.daemon.path.feel import Feel
 
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=200)]
-# Every touch has these; a direction or a length in mm it may not have.
+# The measures that every touch has, unlike a direction or a length in mm.
 MEASURES = tuple(field.name for field in msgspec.structs.fields(Feel) if field.required)
-# Excludes NaN, which no measure is above or below.
+# Excludes NaN, with which every comparison is false.
 Finite: TypeAlias = Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)]
 
 # As ALLeds takes them.
@@ -69,11 +69,11 @@ class ActionRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     """When the robot carries out which actions, in order.
 
     gestures: empty means any gesture, but "other" and "uncertain" must be named.
-    stages: whether the answer is told at that stage or was told before. Empty means any stage at which the
-    answer is news: the first of its touch, or another than the last. Either way, a rule fires once per answer
-    and touch: with [final, released], once on the settled answer.
+    stages: of the answer, whether it is told at this stage or was told before. Empty means any stage at which
+    the answer is new: the first of its touch, or another than the last. Either way, a rule fires once per
+    answer and touch: with [final, released], once on the settled answer.
     changed: only for an answer that replaces another one of the same touch. Such an answer triggers the rules
-    with changed: true if any fits, and only otherwise those without.
+    with changed: true if any fits, and otherwise those without.
     above, below: only for a touch whose measures are at least these, or less than these.
     """
 
@@ -88,9 +88,9 @@ class ActionRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     def __post_init__(self) -> None:
         if unknown := [measure for measure in (*self.above, *self.below) if measure not in MEASURES]:
             raise ValueError(f"{unknown[0]!r} is not one of {', '.join(MEASURES)}")
-        is_told_only = set(self.stages) == {UNCERTAIN} and UNCERTAIN not in self.gestures
-        is_meant_only = set(self.gestures) == {UNCERTAIN} and self.stages and UNCERTAIN not in self.stages
-        if is_told_only or is_meant_only:
+        only_stage = set(self.stages) == {UNCERTAIN} and UNCERTAIN not in self.gestures
+        only_gesture = set(self.gestures) == {UNCERTAIN} and self.stages and UNCERTAIN not in self.stages
+        if only_stage or only_gesture:
             raise ValueError(
                 f"such a rule never acts: {UNCERTAIN} is told at stage {UNCERTAIN}; name it in both"
             )

@@ -1,4 +1,4 @@
-"""Chooses the rules that an answer triggers, and says what the robot does for their actions."""
+"""Chooses the rules that an answer triggers, and turns their actions into calls of the robot."""
 
 import math
 import time
@@ -16,7 +16,7 @@ from touchd.drivers.errors import one_line
 from touchd.drivers.frame import OTHER
 from touchd.drivers.robot.link import Act
 
-# Touches that are remembered: more than can go on at once.
+# Touches that are remembered; more than can go on at once.
 MOST_TOUCHES = 64
 FACE, FADE_S = "FaceLeds", 0.3
 
@@ -30,7 +30,7 @@ METHODS: Mapping[str, tuple[str, str]] = {
 
 
 def act_of(action: Action, answer: Prediction, words: Vocabulary, emit: Callable[[Event], None]) -> Act:
-    """Return what the robot carries out. emit: receives an event as it begins, from the robot's thread."""
+    """Return the robot's call for an action. emit: receives an event as it begins, in the robot's thread."""
     ((kind, what),) = action.given.items()
     if kind in ("say", "animated_say"):
         what = spoken(what, answer.gesture, answer.confidence, words)
@@ -53,8 +53,8 @@ class _Reported:
     rules: set[int] = field(default_factory=set)
 
 
-class Choice:
-    """Chooses what an answer on one pad triggers; remembers the last answer of each recent touch."""
+class Reactions:
+    """Chooses the actions for an answer on one pad; remembers the last answer of each recent touch."""
 
     def __init__(self, rules: Sequence[ActionRule]) -> None:
         self._rules = tuple(rules)
@@ -88,7 +88,7 @@ class Choice:
 
 def _fits(rule: ActionRule, answer: Prediction, is_news: bool) -> bool:
     is_named = answer.gesture in rule.gestures if rule.gestures else answer.gesture not in (OTHER, UNCERTAIN)
-    # A touch without measures is neither high nor low in any.
+    # A touch without measures is neither above nor below any limit.
     measured = msgspec.structs.asdict(answer.feel) if answer.feel else {}
     is_like = all(measured.get(measure, -math.inf) >= least for measure, least in rule.above.items())
     is_like &= all(measured.get(measure, math.inf) < most for measure, most in rule.below.items())

@@ -1,4 +1,4 @@
-"""The robot as a sink of events: it gets told answers and the pads' states, and acts as the scene asks."""
+"""The robot as a sink of events: receives told answers and the pads' states, and acts as the scene asks."""
 
 import itertools
 import time
@@ -15,7 +15,7 @@ from touchd.daemon.path.events import (
     timestamp,
 )
 from touchd.daemon.robot.actions import ActionRule
-from touchd.daemon.robot.reactions import Choice, act_of
+from touchd.daemon.robot.reactions import Reactions, act_of
 from touchd.daemon.robot.words import Vocabulary, words_of
 from touchd.drivers.errors import one_line
 from touchd.drivers.robot.link import RobotLink
@@ -38,7 +38,7 @@ class RobotSink:
         emit: Callable[[Event], None] = lambda _: None,
     ) -> None:
         self._link = link
-        self._choices = {pad: Choice(of_pad) for pad, of_pad in (rules or {}).items() if of_pad}
+        self._reactions = {pad: Reactions(of_pad) for pad, of_pad in (rules or {}).items() if of_pad}
         self._words, self._emit = words or {}, emit
         self._numbers = itertools.count(1)
 
@@ -46,12 +46,12 @@ class RobotSink:
         self._link.start()
 
     def put(self, event: Event) -> None:
-        """Send a told prediction to the robot, react to any; returns at once. Call it from one thread."""
+        """Send a told prediction to the robot, and react to any; never waits. Call it from one thread."""
         if isinstance(event, Prediction):
             if event.told:
                 self._link.put(event.pad, detail_of(event, next(self._numbers)))
-            choice = self._choices.get(event.pad)
-            if choice is not None and (actions := choice.actions(event, time.monotonic())):
+            reactions = self._reactions.get(event.pad)
+            if reactions is not None and (actions := reactions.actions(event, time.monotonic())):
                 self._link.act([act_of(action, event, self._words, self._emit) for action in actions])
         elif isinstance(event, SensorEvent):
             self._link.set_status(event.state, event.pad)

@@ -1,4 +1,4 @@
-"""The file of events: lines are written whole or not at all, and rotation by size limits the space."""
+"""The file of events: each line is written whole or not at all; rotation by size limits the space."""
 
 import errno
 import fcntl
@@ -28,8 +28,8 @@ class JournalError(TouchdError):
 class Journal(QueuedSink[Event]):
     """Appends each event to a file as a line of JSON. On a full disk lines are lost, with one warning.
 
-    path: the file; older ones are path.1 (the newest) to path.`keep`. max_bytes: size at which a new file is
-    begun. Only one process may write a journal. Raises JournalError if the file cannot be opened or is no
+    path: the file; older ones are path.1 (the newest) to path.`keep`. max_bytes: size at which a new file
+    begins. Only one process may write a journal. Raises JournalError if the file cannot be opened or is not a
     journal.
     """
 
@@ -80,14 +80,14 @@ class Journal(QueuedSink[Event]):
             self._fd = -1
 
     def _is_there(self) -> bool:
-        """Whether the path still leads to the open file; raises OSError when that cannot be found out."""
+        """Whether the path still leads to the open file; raises OSError if that cannot be determined."""
         try:
             return os.path.samestat(os.stat(self._path), os.fstat(self._fd))
         except FileNotFoundError:
             return False
 
     def _rotate(self) -> None:
-        # If an earlier attempt moved the files but could not open the new one, do not move them again.
+        # Do not move the files again if an earlier attempt moved them but could not open the new one.
         if self._path.exists():
             files = journal_files(self._path, self._keep)
             for newer, older in reversed(list(pairwise(files))):

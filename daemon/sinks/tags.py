@@ -1,7 +1,7 @@
-"""Tags: what the person who runs trials says of them, as in participant=P07; they stand in every event.
+"""Tags: values that an experimenter puts into every event, as in participant=P07.
 
-While a daemon runs it has NAME.lock, locked, which says what daemon it is, and NAME.tags. `touchd tag`
-replaces the latter; the daemon reads it for each event.
+A running daemon holds a lock on NAME.lock, which describes the daemon, and has its tags in NAME.tags.
+`touchd tag` replaces NAME.tags; the daemon reads it for each event.
 """
 
 import fcntl
@@ -27,7 +27,7 @@ LONGEST_VALUE = 64
 MOST_TAGS = 8
 MOST_BYTES = 8192
 OWN_MODE = 0o600
-# Of the files of the service's daemons, of users' daemons, and of daemons without a folder of their own.
+# Where the service, users, and daemons without a folder of their own have these files.
 FOLDERS = ("/run/touchd*", "/run/user/*", "/tmp")
 
 
@@ -36,14 +36,14 @@ class TagError(TouchdError):
 
 
 class RunningDaemon(msgspec.Struct, frozen=True):
-    """A daemon on this computer. config: its settings' file, "" for the defaults. ports: of its pads."""
+    """A daemon on this computer. config: its configuration file, "" for the defaults. ports: of its pads."""
 
     config: str
     ports: list[str]
 
 
 def changed(tags: Mapping[str, str], texts: Iterable[str]) -> dict[str, str]:
-    """Return tags after these KEY=VALUE; KEY= alone removes a tag. Raises TagError."""
+    """Return the tags as changed by KEY=VALUE texts; KEY= alone removes a tag. Raises TagError."""
     new = dict(tags)
     for text in texts:
         key, equals, value = text.partition("=")
@@ -70,7 +70,7 @@ def in_words(tags: Mapping[str, str]) -> str:
 
 
 def own_folder() -> Path:
-    """Return the folder for the files of a daemon that this process is."""
+    """Return the folder for this process's files."""
     named = os.environ.get("RUNTIME_DIRECTORY") or os.environ.get("XDG_RUNTIME_DIR")
     return Path(named) if named and os.access(named, os.W_OK) else Path("/tmp")
 
@@ -81,7 +81,7 @@ def running_daemons() -> dict[Path, RunningDaemon]:
     folders = (str(own_folder()), *FOLDERS)
     for path in sorted({path for folder in folders for path in glob(f"{folder}/touchd-*.lock")}):
         with suppress(OSError, msgspec.DecodeError), open(path, "rb", opener=without_waiting) as file:
-            # In /tmp, another user may have put a file that anybody can read.
+            # In /tmp, another user may have put such a file.
             if os.geteuid() not in (0, os.fstat(file.fileno()).st_uid):
                 continue
             try:
@@ -107,12 +107,12 @@ def write_tags(file: Path, tags: Mapping[str, str]) -> None:
 def serving_tags(
     events: EventFanout, tags: Mapping[str, str], config: Path | None, ports: Sequence[str]
 ) -> Iterator[None]:
-    """Put tags into events, and take others from `touchd tag`, of this user and root, until the context ends.
+    """Put tags into events until the context ends; `touchd tag`, run by this user or root, can change them.
 
-    config: the file of the daemon's settings, None for the defaults. ports: of its pads.
+    config: the daemon's configuration file, None for the defaults. ports: of its pads.
     """
     own = RunningDaemon(str(config.resolve()) if config else "", list(ports))
-    # The user's number, as /tmp is everybody's.
+    # With the user's number, as all users share /tmp.
     lock = own_folder() / f"touchd-{os.geteuid()}-{zlib.crc32(own.config.encode()):08x}.lock"
     file = lock.with_suffix(".tags")
 
@@ -131,7 +131,7 @@ def serving_tags(
             fd = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, OWN_MODE)
             closing.callback(os.close, fd)
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            # A file that somebody else put into /tmp would keep its owner.
+            # Writing to another user's file in /tmp would keep its owner.
             file.unlink(missing_ok=True)
             write_tags(file, tags)
             os.ftruncate(fd, 0)

@@ -1,13 +1,12 @@
 """Saves the frames of touches, if configured, in a folder with a limited number of files.
 
-JOURNAL.touches/TIME-NUMBER-COUNT.csv.gz, in our own layout, where TIME and NUMBER are those of the touch's
-`touch_began` in the journal (with - for : in file names), and COUNT rises from file to file. A file holds up
-to a second of rest, the touch from its true first frame to its last contact, and the quiet by which its end
-was detected. What people said that a touch was is in the journal alone; later touches without a label do not
-displace one with a label.
+The files are JOURNAL.touches/TIME-NUMBER-COUNT.csv.gz, in touchd's own layout. TIME and NUMBER are those of
+the touch's `touch_began` in the journal (with - for : in file names); COUNT rises from file to file. A file
+holds up to a second of rest, the touch from its true first frame to its last contact, and the quiet by which
+its end was detected. Labels are in the journal only. Touches without a label never displace one with a label.
 
-In the loop a frame costs two appends. A separate thread cuts, packs and writes, only after a touch, when
-the next answer is a second away or more.
+The loop only appends frames. After a touch, a separate thread cuts, compresses and writes them; the next
+answer is then at least a second away.
 """
 
 import logging
@@ -43,21 +42,21 @@ NAME = re.compile(r"(\d{4}-\d\d-\d\dT\d\d)-(\d\d)-(\d\d\.\d{3}Z)-(\d+)-(\d+)" + 
 LEAD_MS = 1000
 # Frames further apart than this are not contiguous.
 CUT_MS = 1000
-# A second of rest plus the longest time before a touch is detected, for pads of up to 500 Hz.
+# A second of rest, plus the longest time until a touch is detected, for pads of up to 500 Hz.
 RECENT_MS, RECENT_FRAMES = 3000, 1500
 LONGEST_FRAMES = round(60.0 * FRAME_RATE_HZ)
 
 
 @dataclass(frozen=True, eq=False)
 class EndedTouch:
-    """A touch that is over, and the contiguous frames around it, none of an earlier touch."""
+    """A touch that has ended, and the contiguous frames around it, without those of an earlier touch."""
 
     began: TouchBegan
     ended: TouchEnded
     frames: tuple[Frame, ...]
 
     def recordings(self) -> list[Recording]:
-        """Return the touch, the rest before it, and the quiet after it if the hand was seen to leave."""
+        """Return the rest before the touch, the touch, and the quiet after it if the hand left."""
         first_ms, last_ms = self.began.sensor_ms, self.ended.sensor_ms
         assert last_ms is not None, "the touch had a last contact"
         tags = {} if self.began.tags is UNSET else self.began.tags
@@ -92,8 +91,8 @@ def around_touch(
 
 
 @dataclass(frozen=True, order=True)
-class KeptTouch:
-    """A touch in a store. count: rises with each touch. key: time and number of its `touch_began`."""
+class SavedTouch:
+    """A touch in a folder. count: rises with each touch. key: time and number of its `touch_began`."""
 
     count: int
     key: TouchKey
@@ -101,10 +100,10 @@ class KeptTouch:
 
 
 class TouchStore:
-    """Writes touches to a folder and keeps the latest; a full disk loses touches, never stops the daemon.
+    """Writes touches to a folder and keeps the latest; a full disk loses touches but never stops the daemon.
 
-    most: number of touches to keep, and as many with a label. sensor: describes the pad in the files.
-    labelled: touches with a label. Raises RecordingError when the folder cannot be used.
+    most: how many touches without a label to keep, and how many with one. sensor: describes the pad in the
+    files. labelled: touches with a label. Raises RecordingError when the folder cannot be used.
     """
 
     def __init__(self, folder: Path, most: int, sensor: str, labelled: Iterable[TouchKey] = ()) -> None:
@@ -117,12 +116,12 @@ class TouchStore:
         with os_errors_as(RecordingError, f"{folder}: cannot be made", "give another journal.path"):
             # Like the journal, it is not world-readable.
             folder.mkdir(FOLDER_MODE, exist_ok=True)
-            # A killed program may have left some.
+            # Partial files of a killed program.
             _delete(folder.glob(f"{PARTIAL}*"))
-        self._count = max((kept.count for kept in kept_touches(folder)), default=0)
+        self._count = max((touch.count for touch in saved_touches(folder)), default=0)
 
     def add(self, touch: EndedTouch) -> None:
-        """Write a touch, then delete the oldest beyond the bound; when that fails it is counted in `lost`."""
+        """Write a touch, then delete the oldest beyond the limit; a failure counts the touch in `lost`."""
         self._count += 1
         path = self._folder / file_name(touch.began.time, touch.began.touch, self._count)
         provenance = {
@@ -144,22 +143,22 @@ class TouchStore:
             self._faults.end("lost", f"the frames of touches are saved again; those of {self.lost} were lost")
 
     def label(self, label: Label) -> None:
-        """Note that a touch has a label, also one that has not ended yet. Thread-safe."""
+        """Note that a touch has a label; it may not have ended yet. Thread-safe."""
         self._labelled.add((label.began, label.touch))
 
     def _delete_oldest(self) -> None:
-        """Delete the oldest touches beyond the bound, which holds for those with a label and those without.
+        """Delete the oldest touches beyond the limit, separately for those with and without a label.
 
-        One bound for both would let touches that nobody cared about displace a person's work.
+        With one limit for both, unlabelled touches would displace a person's work.
         """
-        kept = kept_touches(self._folder)
+        saved = saved_touches(self._folder)
         for is_labelled in (True, False):
-            own = [each for each in kept if (each.key in self._labelled) == is_labelled]
+            own = [each for each in saved if (each.key in self._labelled) == is_labelled]
             _delete(older.path for older in own[: -self._most])
 
 
 def description_of(sensor: SensorSettings) -> str:
-    """Return a line that says which pad it is and how it is read, for recordings."""
+    """Describe a pad and how it is read in one line, for recordings."""
     pad = sensor.described
     return f"{pad}, crop {pad.crop}, invert {pad.invert},{at_baud(sensor.port, sensor.baud)} on {sensor.port}"
 
@@ -172,7 +171,7 @@ def _delete(files: Iterable[Path]) -> None:
 
 
 def folder_of(journal: Path, pad: str = DEFAULT_PAD) -> Path:
-    """Return the folder with the frames of a journal's touches on a pad."""
+    """Return the folder of the saved touches of a journal's pad."""
     return journal.with_name(f"{journal.name}{'' if pad == DEFAULT_PAD else f'.{pad}'}{TOUCHES}")
 
 
@@ -180,8 +179,8 @@ def file_name(time: str, number: int, count: int) -> str:
     return f"{time.replace(':', '-')}-{number}-{count}{SUFFIX}"
 
 
-def kept_touches(folder: Path) -> list[KeptTouch]:
-    """Return the touches in a store's folder, oldest first; none where there is no folder.
+def saved_touches(folder: Path) -> list[SavedTouch]:
+    """Return the touches in a folder, oldest first; none without the folder.
 
     Raises RecordingError when it cannot be read.
     """
@@ -193,27 +192,28 @@ def kept_touches(folder: Path) -> list[KeptTouch]:
             return []
     found = ((folder / name, NAME.fullmatch(name)) for name in names)
     return sorted(
-        KeptTouch(int(parts[5]), (":".join(parts.group(1, 2, 3)), int(parts[4])), path)
+        SavedTouch(int(parts[5]), (":".join(parts.group(1, 2, 3)), int(parts[4])), path)
         for path, parts in found
         if parts is not None
     )
 
 
 def labels_in(folder: Path) -> dict[str, str]:
-    """Return what people said that the touches in a store's folder were, by file name, from its journal.
+    """Return the labels of the touches in a folder by file name, from the journal beside it.
 
-    Empty for any other folder. Raises RecordingError and JournalError when something cannot be read.
+    Empty for a folder of other recordings. Raises RecordingError and JournalError when something cannot be
+    read.
     """
     beside = folder.absolute().with_suffix("")
     if folder.absolute().suffix != TOUCHES:
         return {}
     journal, pad = (beside, DEFAULT_PAD) if beside.exists() else (beside.with_suffix(""), beside.suffix[1:])
     labels = read_labels(journal, pad)
-    return {kept.path.name: labels[kept.key] for kept in kept_touches(folder) if kept.key in labels}
+    return {touch.path.name: labels[touch.key] for touch in saved_touches(folder) if touch.key in labels}
 
 
 class TouchSink(QueuedSink[EndedTouch]):
-    """A sink that keeps the frames of touches. stores: one for each pad.
+    """A sink that saves the frames of touches. stores: one for each pad.
 
     Frames and the events that they cause must come from one thread, a frame before its events. Labels may
     come from any thread, also before their touch has ended.
@@ -279,11 +279,10 @@ class _PadFrames:
         return EndedTouch(began, event, frames) if began and frames else None
 
 
-def keep_touches(settings: Settings, journal: Path, most: int) -> TouchSink:
-    """Return the sink that saves touches beside a journal, whose folder is there.
+def touch_sink(settings: Settings, journal: Path, most: int) -> TouchSink:
+    """Return the sink that saves touches beside a journal, whose folder must exist.
 
-    most: number of touches to keep. Raises RecordingError, and JournalError when an older journal cannot be
-    read.
+    most: see `TouchStore`. Raises RecordingError, and JournalError when an older journal cannot be read.
     """
     stores = {}
     for name, pad in settings.pads.items():

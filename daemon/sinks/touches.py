@@ -24,7 +24,7 @@ from touchd.drivers.whole_file import without_waiting
 
 # The beginning of a label's line.
 LABEL = FIRST_BYTES + b'label"'
-# The last touches of a pad, and the last answers to a touch, for those who look.
+# How many touches of a pad, and answers to a touch, the page and the terminal view keep.
 TOUCHES, PREDICTIONS = 40, 24
 # The year 2500: earlier times fit into the nanoseconds of every format that touchd writes.
 LAST_S = 16_725_225_600.0
@@ -68,9 +68,9 @@ def gather(events: Iterable[Event]) -> list[ReportedTouch]:
 
 
 class Latest:
-    """A pad's last touches, the last states, and what the robot says or does of the last touch; bounded.
+    """A pad's last touches, the last states, and the robot's reaction to the last touch; bounded.
 
-    labels: what people said that touches were, by their numbers.
+    labels: what touches were, as people say, by their numbers.
     """
 
     def __init__(self) -> None:
@@ -100,7 +100,7 @@ class Latest:
                 del self.touches[-1].predictions[:-PREDICTIONS]
 
     def find(self, touch: int) -> TouchBegan | None:
-        """Return the beginning of one of the last touches, None if it is not among them."""
+        """Return the `touch_began` of one of the last touches, None if it is not among them."""
         return next((one.began for one in self.touches if one.began.touch == touch), None)
 
 
@@ -139,14 +139,14 @@ def read_events(path: Path, begin: bytes = b"") -> tuple[list[Event], list[Event
 
 
 def read_labels(path: Path, pad: str) -> dict[TouchKey, str]:
-    """Return what people said that the touches on a pad were: the label that was given last.
+    """Return the last label of each labelled touch on a pad.
 
-    Also reads older files (path.1 and so on); skips half lines and lines without an event. Raises
-    JournalError when a file is there and cannot be read.
+    Also reads older files (path.1 and so on); skips partial lines and lines without an event. Raises
+    JournalError if an existing file cannot be read.
     """
     labels: dict[TouchKey, str] = {}
-    # Resolve a symlink: the older files are beside its target. The newest first: one that is rotated
-    # meanwhile is read twice rather than not at all.
+    # Resolve a symlink: the older files are beside its target. Newest first: a file that is rotated at the
+    # same time is read twice rather than missed.
     for file in journal_files(path.resolve()):
         try:
             events, _ = read_events(file, begin=LABEL)

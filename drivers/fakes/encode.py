@@ -1,4 +1,4 @@
-"""Encodes pressure as a described pad would send it: the inverse of the parsers, for fake pads and tests."""
+"""Encodes pressure as a pad would send it: the inverse of the parsers, for fake pads and tests."""
 
 import numpy as np
 
@@ -16,7 +16,8 @@ def encode_frame(described: PadFormat, counts: Counts, sensor_ms: int | None) ->
 def encode_values(described: PadFormat, values: Values, sensor_ms: int | None) -> bytes:
     """Return values (rows, columns) as the pad would send them.
 
-    Text has one line, with an `end` one for each row; a skipped number is the clock, or the row's number.
+    Text is one line, or a line for each row if the format has an `end`. The first skipped number is the clock
+    or the row's number.
     """
     time = round((sensor_ms or 0) / (UNITS_MS[described.clock] or 1)) % 2**32
     if described.framing == "text":

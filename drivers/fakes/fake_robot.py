@@ -36,9 +36,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def main(options: argparse.Namespace) -> int:
-    """Be a robot until SIGINT or SIGTERM; returns 0.
+    """Serve until SIGINT or SIGTERM; returns 0.
 
-    Prints {"listening": url} once all services are there, and every Call. Raises RobotError.
+    Prints {"listening": url} once all services are ready, then every Call. Raises RobotError.
     """
     stop = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -67,7 +67,7 @@ def _stop_at_end_of_stdin(stop: threading.Event) -> None:
 
 
 class LoopbackRobot:
-    """Runs a program that is a robot, on a port that is free, and follows its reports.
+    """Runs a stand-in robot in a process of its own, on a free port, and reads the calls that it reports.
 
     options: of `touchd fake-robot`. on_call: gets each call, from another thread. program: what Python runs.
     """
@@ -93,10 +93,10 @@ class LoopbackRobot:
         self._process, self._follower = process, follower
         if not started.wait(START_S) or not self.url:
             self.stop()
-            raise RobotError("the stand-in robot did not start; what it said on stderr tells why")
+            raise RobotError("the stand-in robot did not start; its standard error says why")
 
     def stop(self) -> None:
-        """Switch it off at once, in the middle of whatever it does; may be called again."""
+        """Kill it at once; idempotent."""
         if self._process is not None:
             with self._process:
                 self._process.kill()
@@ -111,7 +111,7 @@ class LoopbackRobot:
         self.stop()
 
     def _follow(self, reports: IO[bytes], started: threading.Event) -> None:
-        """Note the robot's address, then report its calls until it ends."""
+        """Read the robot's address, then its calls, until it ends."""
         for line in reports:
             report = msgspec.json.decode(line)
             if "listening" in report:
@@ -123,7 +123,7 @@ class LoopbackRobot:
 
 
 def program() -> int:
-    """Be the robot that this process's arguments describe."""
+    """Serve as the arguments of this process say."""
     parser = argparse.ArgumentParser(description=DESCRIPTION)
     add_options(parser)
     return main(parser.parse_args())

@@ -1,6 +1,7 @@
-"""A simulated pad, and the hand of `touchd demo` and `touchd fake-pad`, which does one gesture after another.
+"""A simulated pad, and the simulated hand of `touchd demo` and `touchd fake-pad`.
 
-The hand is a pointer like those of a page's viewers, and stays away while one of these is at the pad.
+The hand makes one gesture after another. It is a pointer like those of a page's viewers, and stays away while
+a viewer's pointer is at the pad.
 """
 
 import itertools
@@ -23,7 +24,7 @@ NOISE_COUNTS, UNEVENNESS, ROW_LEAK = 0.75, 0.35, 0.02
 LONGEST_TOUCH_S, SHORTEST_PAUSE_S = 3.8, 1.5
 # The hand resumes when no pointer has been at the pad for this long.
 ALONE_S = 20.0
-# Deviation, in radians, from up and down the pad, the way of 313 of 380 recorded strokes.
+# Deviation of a heading from up and down the pad, in radians; 313 of 380 recorded strokes go that way.
 ASLANT = 0.35
 
 # Where the hand is, in taxels, at a time in seconds; None: off the pad.
@@ -75,7 +76,7 @@ def pat(rng: RandomState) -> Path:
 def stroke(
     down_s: Range, every_s: Range, length: Range, heading: Callable[[RandomState], float] = up_or_down
 ) -> Draw:
-    """Return strokes, always the same way. Durations, periods and lengths in taxels are from these ranges."""
+    """Return strokes in one direction. Durations, periods and lengths (in taxels) are from these ranges."""
 
     def make(rng: RandomState) -> Path:
         (row, column), angle = middle(rng), heading(rng)
@@ -110,7 +111,7 @@ def to_and_fro(pace_hz: Range, reach: Range, heading: Callable[[RandomState], fl
     return make
 
 
-# With the paces and ways of HAART's recordings. No hand here tickles as people do, so none is played.
+# With the paces and directions of HAART's recordings. The simulated hand cannot tickle as people do.
 PLAYED: Mapping[str, tuple[Size, Draw]] = {
     "constant": ("hand", constant),
     "pat": ("hand", pat),
@@ -131,9 +132,9 @@ class Pointers(Protocol):
 
 
 class SimulatedPad:
-    """A pad under a hand that does gestures one after another, and under the pointers of people, if any.
+    """A pad under the simulated hand, and under the pointers of people, if any.
 
-    gestures: of PLAYED, each time a little different, one every `every_s` seconds; any other is a pause.
+    gestures: what the hand makes, one every `every_s` seconds; a name that is not in PLAYED is a pause.
     on_gesture: called as one begins. on_frame: receives each frame.
     """
 
@@ -155,7 +156,7 @@ class SimulatedPad:
         """Return the next frame of counts."""
         pointers = self._people.pointers() if self._people else {}
         if self._people and time.monotonic() - self._people.near_s <= ALONE_S:
-            # The hand lifts off, and goes on with the next gesture.
+            # The hand lifts off, and later continues with the next gesture.
             self._turn = self._play()
         elif (own := next(self._turn)) is not None:
             pointers[self] = own

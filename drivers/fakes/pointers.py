@@ -1,15 +1,16 @@
-"""Hands and fingertips that follow pointers: mouse, fingers or pens on the picture of a pad.
+"""Simulates the pressure of hands that follow pointers: a mouse, fingers or pens on the picture of a pad.
 
-A pointer shows where a hand is and when it is down; how firmly it presses follows here from its speed, from
-how long it has been down and from what touches. It is set to the contacts in HAART's training recordings on
-the uncovered pad, and not to any network's answers. Loads are sums over the pad, in counts above rest:
+A pointer gives a hand's place and whether it is down. Its load follows from its speed, from how long it has
+been down, and from what touches. The model is fitted to the contacts in HAART's training recordings on the
+uncovered pad, not to any network's answers. Loads are sums over the pad, in counts above rest:
 
 - Pats last 4 to 7 frames, peak at 101 to 453 counts (10th and 90th percentile) and touch 10 to 37 taxels.
   Palm and fingers do not land at once: consecutive frames correlate by 0.62 to 0.98.
-- Strokes reach half of their load in 2 frames, stay at 100 to 140 counts at any speed, end within 6 frames.
-  The hand is long: 1.7 taxels along its way at first, 1.4 at the end, 1.75 across (standard deviations).
-- Rubs are at 200 counts; their load deviates by 0.45 (as a logarithm), a third of it with the way.
-- A resting hand presses down to 650 to 2500 counts, fingertips that scratch with 160 to 190.
+- Strokes reach half of their load in 2 frames, keep 100 to 140 counts at any speed, and end within 6 frames.
+  Their contact spreads by 1.7 taxels along the stroke at first and 1.4 at the end, and by 1.75 across it
+  (standard deviations).
+- Rubs have a load of 200 counts. Its logarithm deviates by 0.45, a third of it with the direction.
+- A resting hand sinks in to 650 to 2500 counts; fingertips scratch with 160 to 190.
 """
 
 import math
@@ -24,42 +25,44 @@ from numpy.typing import NDArray
 from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, ROWS
 
 Series: TypeAlias = NDArray[np.float64]
-# "hand": palm and fingers. "fingertips": those of a hand, under one pointer. "finger": one of several.
+# "hand": palm and fingers. "fingertips": those of one hand, under one pointer. "finger": a single fingertip.
 Size: TypeAlias = Literal["hand", "fingertips", "finger"]
 
 FRAME_S = 1.0 / FRAME_RATE_HZ
-# Limited, so that many viewers do not make frames late.
+# Limits the work of a frame, so that many viewers do not delay it.
 MOST_PRESSES = 20
-# How long a resting and a moving hand take to come off.
+# How long a resting and a moving hand take to lift off.
 LIFT_S, GLIDE_S = 0.055, 0.2
-# Share of the way to the pointer, of a new speed and of a new load that a hand takes on in a frame.
+# Low-pass filters, as shares of the difference that a frame takes over: of place, speed and load.
 FOLLOW, SPEED_SHARE, LOAD_SHARE = 0.6, 0.25, 0.5
-# A hand slower than this, in taxels a second, rests; after PAUSE_S it presses down. Time constants of
-# pressing down, and of pressing more while it moves.
+# A hand rests below this speed, in taxels a second, and sinks in after PAUSE_S. SINK_S, DWELL_S: time
+# constants with which the load of a resting and of a moving hand grows.
 MOVING_SPEED, PAUSE_S, SINK_S, DWELL_S = 1.2, 0.25, 0.35, 0.45
-# A button closes before a hand would land: it lands once the pointer has moved by LANDS_AFTER taxels, after
-# LANDS_WITHIN frames, or when the button opens. A hand that has not moved then strikes with its fingers: the
-# load of the following frames, as shares of the peak; the latest part, in frames; the share of the load that
-# spreads the hand, as the skin has no time to give way.
+# A mouse button closes before a hand would land. So the hand lands once the pointer has moved by LANDS_AFTER
+# taxels, after LANDS_WITHIN frames, or when the button opens.
 LANDS_AFTER, LANDS_WITHIN = 0.1, 5
+# A hand that lands without moving strikes, as in a pat. STRIKE: its load in the following frames, as shares
+# of the peak. LATEST_PART: the largest delay of a part of the hand, in frames. STRIKE_SPREADS: the share of
+# the load that widens the contact, as the skin has no time to give way.
 STRIKE, LATEST_PART, STRIKE_SPREADS = (0.6, 1.0, 0.6, 0.35, 0.15), 1.5, 0.3
-# Up to this frame a hand that moves as it lands turns into its way, askew by this angle in radians.
+# A hand that moves as it lands turns into its direction up to this frame, askew by this angle (deviation, in
+# radians).
 AIMED_FRAME, ASKEW = 6, 0.15
-# A stroking hand rolls from its palm onto its fingers from FLAT_WAY taxels on. After ROLLED_WAY more it has,
-# and has lost the share ROLLED_LIGHTER of its load. One that rests, or has come back by TURN taxels, has
-# rolled by REST_ROLLED. ROLL_SHARE: of the way to such a state in a frame.
+# A stroking hand rolls from its palm onto its fingers between FLAT_WAY and FLAT_WAY + ROLLED_WAY taxels, and
+# then has lost the share ROLLED_LIGHTER of its load. A hand that rests, or has come back by TURN taxels, is
+# rolled by REST_ROLLED. ROLL_SHARE: a low-pass filter, as above.
 FLAT_WAY, ROLLED_WAY, ROLLED_LIGHTER = 2.5, 2.5, 0.33
 REST_ROLLED, TURN, ROLL_SHARE = 0.7, 0.5, 0.2
-# From this speed on, in taxels a second, a hand that pulls towards the wrist presses most.
+# The speed towards the wrist, in taxels a second, at which a hand presses most.
 PULL_SPEED = 8.0
-# Deviation of a press's load from that of others, as a logarithm; of a moving hand's load, as fabric sticks
-# and slips, and of each of its parts; of a resting hand's; of one that goes to and fro.
+# Random variation of the load (deviation of its logarithm): from press to press; of a moving hand, as fabric
+# sticks and slips, and of each of its parts; of a resting hand; of a hand that moves to and fro.
 FIRMNESS, SLIP, SLIP_OF_PART, TREMOR, SWAY = 0.25, 0.05, 0.5, 0.05, 0.3
-# The share of these that the next frame keeps. A moving hand keeps more the slower it is, by 1/e at
-# SLIP_SPEED: recorded strokes correlate from frame to frame by 0.83 at 7 taxels a second, and by 0.91 at 2.
+# Its correlation from frame to frame. That of a moving hand falls with speed, to 1/e at SLIP_SPEED: recorded
+# strokes correlate by 0.91 at 2 taxels a second, by 0.83 at 7.
 SLIP_KEPT, SLIP_SPEED, TREMOR_KEPT, SWAY_KEPT = 0.5, 13.0, 0.98, 0.9
-# A part's radius grows with this power of the depth, and is at least this share of its radius at rest, below
-# which it would fall between the taxels.
+# The radius of a part grows with this power of the depth, from at least this share of its radius at rest; a
+# smaller part would fall between the taxels.
 SPREADS, LEAST_RADIUS = 0.2, 0.4
 
 
@@ -93,9 +96,9 @@ def fingers(count: int) -> list[float]:
 class Shape:
     """What touches, with its loads in counts.
 
-    strike: the peak as it lands in one place. struck: after that. light: as it begins to move. firm: after it
-    has moved for long. still: at rest. pulls: the share by which it presses more as it comes back towards the
-    wrist, and less the other way. uneven: deviation of the parts' loads, as a logarithm.
+    strike: the peak of a strike; struck: after it. light: of a hand that begins to move; firm: that has moved
+    for long; still: that rests. pulls: the share by which it presses more towards the wrist, and less the
+    other way. uneven: deviation of the logarithm of the parts' loads.
     """
 
     parts: tuple[Part, ...]
@@ -108,7 +111,7 @@ class Shape:
     uneven: float
 
 
-# The two cushions of the palm, and the root and the tip of each finger.
+# The two balls of the palm, and the root and tip of each finger.
 PALM_AND_FINGERS = (
     *(Part(-2.5, place, 1.2, 0.7) for place in (-1.6, 1.6)),
     *(Part(0.4, place, 0.9, 0.4) for place in (-2.7, -0.9, 0.9, 2.7)),
@@ -116,7 +119,7 @@ PALM_AND_FINGERS = (
 )
 FINGERTIP = Part(0.0, 0.0, 0.6, 1.0)
 FINGERTIPS = tuple(FINGERTIP._replace(across=place) for place in fingers(4))
-# Part of these loads lies below the noise: each taxel's reading counts from three above its rest.
+# Part of these loads lies below the noise: in recordings, a taxel counts from three counts above its rest.
 SHAPES: Mapping[Size, Shape] = {
     "hand": Shape(PALM_AND_FINGERS, 260.0, 40.0, 130.0, 260.0, 1800.0, pulls=0.18, uneven=0.5),
     "fingertips": Shape(FINGERTIPS, 240.0, 30.0, 80.0, 230.0, 600.0, pulls=0.85, uneven=0.9),
@@ -125,7 +128,7 @@ SHAPES: Mapping[Size, Shape] = {
 
 
 class PressingHands:
-    """The pressure of all pointers, a frame at a time; of at most `MOST_PRESSES`, lifting ones included."""
+    """The pressure of all pointers, frame by frame: at most `MOST_PRESSES`, including those that lift."""
 
     def __init__(self, rng: RandomState) -> None:
         self._rng = rng
@@ -157,7 +160,7 @@ class _Press:
         self._rng = rng
         self._parts = np.array(self._shape.parts)
         count = len(self._parts)
-        # Each hand is held a little differently, and presses in its own way. The fingers point up.
+        # Hands differ in shape and in how their parts press. The fingers point up.
         self._parts[:, 0] += rng.normal(0.0, 0.2 * (count > 1), count)
         self._shares = self._parts[:, 3] * self._parts[:, 2] ** 2
         self._shares *= rng.lognormal(0.0, self._shape.uneven, count)
@@ -167,7 +170,7 @@ class _Press:
         self._heading = -np.pi / 2 + self._askew
         self._at = self._begun = np.array([pointer.row, pointer.column])
         self._velocity = np.zeros(2)
-        # The largest distance from where it landed; how far it has rolled onto its fingers, 0 to 1.
+        # The largest distance from the landing place; how far it has rolled onto its fingers, 0 to 1.
         self._way = self._rolled = 0.0
         self._has_turned = False
         # Frames before and since it has landed.
@@ -175,10 +178,10 @@ class _Press:
         self._load = self._still_s = self._sway = 0.0
         # How much of it is on the pad, 0 to 1.
         self.on = 1.0
-        # When each part strikes, in frames after the first; frames since then, None if it moved as it landed.
+        # Each part's delay in a strike, in frames; frames since the strike, None if it moved as it landed.
         self._delays = rng.uniform(0.0, LATEST_PART, count)
         self._struck: int | None = None
-        # Of the whole hand, and of each part.
+        # Variation of the load of the whole hand, and of each part.
         self._noise = rng.normal(size=1 + count)
 
     @property
@@ -205,7 +208,7 @@ class _Press:
         return self._pressure()
 
     def lift(self) -> Series:
-        """Come off, once a strike is over; a moving hand glides off."""
+        """Lift off, once a strike is over; a moving hand glides off."""
         self._press(strikes=True)
         if self._struck is None or self._struck >= len(STRIKE):
             self.on = max(0.0, self.on - FRAME_S / (GLIDE_S if self._speed else LIFT_S))
@@ -213,7 +216,7 @@ class _Press:
         return self._pressure()
 
     def _aim(self) -> None:
-        """Turn a hand that moves as it lands into its way, by quarters: fingers abreast, the palm ahead."""
+        """Turn a hand that moves as it lands into its direction, in quarters of a turn."""
         if self._frames <= AIMED_FRAME and self._speed:
             quarters = np.arctan2(-self._velocity[0], -self._velocity[1]) / (np.pi / 2)
             self._heading = float(np.pi / 2 * np.rint(quarters) + self._askew)
@@ -229,7 +232,7 @@ class _Press:
         self._rolled += ROLL_SHARE * (wanted - self._rolled)
 
     def _press(self, *, strikes: bool) -> None:
-        """Go on by a frame; in the first one, land. strikes: how it lands."""
+        """Count a frame; in the first one, land. strikes: whether it lands without moving."""
         if self._frames == 0 and strikes:
             self._struck, self._rolled = -1, 1.0
         if self._struck is not None:
@@ -237,17 +240,17 @@ class _Press:
         self._frames += 1
 
     def _wanted(self, pointer: Pointer) -> float:
-        """Return the load that the hand approaches, in counts."""
+        """Return the load that the low-pass filter approaches, in counts."""
         shape = self._shape
         firmer = 1.0 - np.exp(-self._frames * FRAME_S / DWELL_S)
         moving = float(shape.light + (shape.firm - shape.light) * firmer)
         if pointer.pressure is not None:
-            # Taken for depth; half of a device's range is as firm as a hand that has moved for long.
+            # Read as depth: half of a device's range gives the load of a hand that has moved for long.
             return (2.0 * pointer.pressure) ** 2 * shape.firm
         if self._speed or (self._struck is None and self._frames <= AIMED_FRAME):
             if self._has_turned:
                 self._sway = SWAY_KEPT * self._sway + math.sqrt(1.0 - SWAY_KEPT**2) * self._rng.normal()
-                # The wrist lies below fingertips, to the right.
+                # The wrist is below the fingertips and to the right.
                 pull = float(np.clip(self._velocity.sum() / np.sqrt(2.0) / PULL_SPEED, -1.0, 1.0))
                 return moving * math.exp(SWAY * self._sway) * (1.0 + shape.pulls * pull)
             return moving * (1.0 - ROLLED_LIGHTER * self._rolled)

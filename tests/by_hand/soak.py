@@ -42,12 +42,12 @@ from touchd.daemon.robot.sink import RobotSink
 from touchd.daemon.sinks.journal import Journal
 from touchd.daemon.sinks.touch_store import (
     EndedTouch,
-    KeptTouch,
+    SavedTouch,
     TouchSink,
     TouchStore,
     description_of,
     folder_of,
-    kept_touches,
+    saved_touches,
 )
 from touchd.drivers.frame import FRAME_RATE_HZ, SensorState
 from touchd.drivers.pad.parser import FrameParser
@@ -218,7 +218,7 @@ class Soak:
     def _figures(self, frames: int) -> dict[str, object]:
         settled = self.hours[1:] or self.hours
         growth_mb = max(hour["memory_mb"] for hour in settled) - settled[0]["memory_mb"]
-        kept = kept_touches(folder_of(self._path))
+        kept = saved_touches(folder_of(self._path))
         return {
             "malloc_mmap_threshold": os.environ.get("MALLOC_MMAP_THRESHOLD_", "glibc's own"),
             "sensor_hours": round(frames / HOUR_FRAMES, 3),
@@ -235,7 +235,7 @@ class Soak:
         }
 
     def _holds(
-        self, settled: Sequence[dict[str, float]], growth_mb: float, kept: Sequence[KeptTouch]
+        self, settled: Sequence[dict[str, float]], growth_mb: float, kept: Sequence[SavedTouch]
     ) -> dict[str, bool]:
         """Return which promises hold. settled: the hours after the first."""
         files = [self._path.with_name(f"{self._path.name}.{number}") for number in range(JOURNAL_KEEP, 0, -1)]

@@ -13,7 +13,7 @@ from touchd.daemon.path.events import Event, Prediction, TouchEnded
 from touchd.daemon.path.feel import Feel, FeelMeter
 from touchd.daemon.path.pipeline import Pipeline, PipelineSettings
 from touchd.daemon.robot.actions import MEASURES, Action, ActionRule
-from touchd.daemon.robot.reactions import Choice
+from touchd.daemon.robot.reactions import Reactions
 from touchd.drivers.frame import Frame
 
 RATE_HZ = 54
@@ -86,7 +86,7 @@ def test_a_rule_can_require_a_hard_or_short_touch() -> None:
     def says(**feel: float) -> bool:
         measured = Feel(**{**dict.fromkeys(MEASURES, 0.0), **feel}) if feel else None
         answer = msgspec.structs.replace(PREDICTION, gesture="pat", feel=measured)
-        return bool(Choice([hard]).actions(answer, 0.0))
+        return bool(Reactions([hard]).actions(answer, 0.0))
 
     assert says(peak=300, duration_s=1.9)
     assert says(peak=400, duration_s=0.5)
@@ -95,4 +95,4 @@ def test_a_rule_can_require_a_hard_or_short_touch() -> None:
     assert not says(peak=400, duration_s=2.0)
     assert not says()
     for limits in ({"above": {"peak": 0}}, {"below": {"peak": 999}}):
-        assert Choice([ActionRule(do=(say,), **limits)]).actions(PREDICTION, 0.0) == []
+        assert Reactions([ActionRule(do=(say,), **limits)]).actions(PREDICTION, 0.0) == []

@@ -16,7 +16,7 @@ from rigs.wait import WITHIN_S, wait_for
 
 from touchd.daemon.path.events import Event, Label, encode
 from touchd.daemon.sinks.labels import Labeller, keys_of
-from touchd.daemon.sinks.touch_store import folder_of, kept_touches, labels_in
+from touchd.daemon.sinks.touch_store import folder_of, labels_in, saved_touches
 from touchd.daemon.sinks.touches import decode
 
 GESTURES = ("notouch", "pat", "stroke")
@@ -24,7 +24,7 @@ GESTURES = ("notouch", "pat", "stroke")
 
 def test_a_label_is_an_event_like_any_other() -> None:
     events: list[Event] = []
-    Labeller(events.append, {"left": GESTURES}, are_kept=True).label(replace(touch(7), pad="left"), "pat")
+    Labeller(events.append, {"left": GESTURES}, are_saved=True).label(replace(touch(7), pad="left"), "pat")
     (label,) = events
     assert isinstance(label, Label)
     assert (label.pad, label.touch, label.began, label.gesture) == ("left", 7, touch(7).time, "pat")
@@ -37,8 +37,8 @@ def test_the_gestures_keys_do_not_depend_on_other() -> None:
 
 
 def test_labels_that_teach_nothing_are_warned_of_once(caplog: pytest.LogCaptureFixture) -> None:
-    for are_kept in (True, False):
-        labeller = Labeller(lambda _: None, {"pad": GESTURES}, are_kept=are_kept)
+    for are_saved in (True, False):
+        labeller = Labeller(lambda _: None, {"pad": GESTURES}, are_saved=are_saved)
         for number in (1, 2, 3):
             labeller.label(touch(number), "pat")
     (warning,) = caplog.messages
@@ -66,5 +66,5 @@ def test_a_key_says_what_the_touch_on_the_screen_was(tmp_path: Path) -> None:
             assert termios.tcgetattr(terminal._master)[3] & termios.ECHO
     labels = [event for line in journal.open("rb") if isinstance(event := decode(line), Label)]
     assert [(label.touch, label.gesture) for label in labels] == [(1, "pat")]
-    first = kept_touches(folder_of(journal))[0]
+    first = saved_touches(folder_of(journal))[0]
     assert labels_in(folder_of(journal)) == {first.path.name: "pat"}

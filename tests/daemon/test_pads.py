@@ -35,7 +35,7 @@ from touchd.daemon.path.events import Event, Prediction, RobotAction, SensorEven
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
 from touchd.daemon.robot.actions import Action, ActionRule
 from touchd.daemon.robot.sink import link_to_robot
-from touchd.daemon.sinks.touch_store import folder_of, kept_touches
+from touchd.daemon.sinks.touch_store import folder_of, saved_touches
 from touchd.daemon.sinks.touches import decode, gather, read_events
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.pad.format import PadFormat
@@ -73,7 +73,7 @@ def test_each_pad_has_touches_scene_and_frames_of_its_own(tmp_path: Path) -> Non
     for pad, number in shown.items():
         touches = [event.touch for event in on(pad, events) if isinstance(event, TouchBegan)]
         assert touches == list(range(1, number + 1))
-        assert [kept.key[1] for kept in kept_touches(folder_of(journal, pad))] == touches
+        assert [touch.key[1] for touch in saved_touches(folder_of(journal, pad))] == touches
     assert all(touch.ended and touch.predictions for touch in gather(read_events(journal)[0]))
 
 

@@ -14,7 +14,7 @@ from touchd.daemon.path.events import Event, RobotAction
 from touchd.daemon.path.feel import Feel
 from touchd.daemon.robot import actions
 from touchd.daemon.robot.actions import MEASURES, Action, ActionRule
-from touchd.daemon.robot.reactions import MOST_TOUCHES, Choice, act_of, spoken
+from touchd.daemon.robot.reactions import MOST_TOUCHES, Reactions, act_of, spoken
 from touchd.daemon.robot.words import SHIPPED, words_of
 from touchd.model.classifier import Classifier
 
@@ -26,7 +26,7 @@ def rules(text: str) -> Rules:
     return msgspec.convert(yaml.safe_load(text), Rules)
 
 
-def done(chosen: Choice, gesture: str, touch: int = 1, now_s: float = 0.0, **other: Any) -> list[str]:
+def done(chosen: Reactions, gesture: str, touch: int = 1, now_s: float = 0.0, **other: Any) -> list[str]:
     """Return what the robot says to an answer."""
     answer = msgspec.structs.replace(PREDICTION, gesture=gesture, touch=touch, **other)
     return [str(action.say) for action in chosen.actions(answer, now_s)]
@@ -151,7 +151,7 @@ FIRES = {
 
 @pytest.mark.parametrize(("text", "answers"), FIRES.values(), ids=list(FIRES))
 def test_a_rule_fires(text: str, answers: list[str]) -> None:
-    chosen = Choice(rules(text))
+    chosen = Reactions(rules(text))
     for line in answers:
         answer, _, said = line.partition(":")
         gesture, touch, stage, *others = answer.split()
@@ -162,7 +162,7 @@ def test_a_rule_fires(text: str, answers: list[str]) -> None:
 
 
 def test_only_the_latest_touches_are_remembered() -> None:
-    chosen = Choice(rules("[{do: [{say: any}]}]"))
+    chosen = Reactions(rules("[{do: [{say: any}]}]"))
     assert all(done(chosen, "stroke", touch) == ["any"] for touch in range(2 * MOST_TOUCHES))
     for touch in range(MOST_TOUCHES, 2 * MOST_TOUCHES):
         assert done(chosen, "stroke", touch) == []

@@ -142,7 +142,7 @@ def test_the_robot_stops_first_so_its_last_acts_are_told(
         robot=RobotSettings(url="tcp://127.0.0.1:1"), journal=JournalSettings(path=str(tmp_path / "events"))
     )
     service = Service(settings)
-    service.tell(LinesSink("stdout", 1, encode))
+    service.add_sink(LinesSink("stdout", 1, encode))
     service.run(lambda: True)
     assert stopped[0] == "RobotSink"
     assert sorted(stopped[1:]) == ["Journal", "LinesSink"]

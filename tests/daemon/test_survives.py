@@ -23,7 +23,7 @@ from touchd.daemon.path.events import Event, Prediction, TouchEnded
 from touchd.daemon.path.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
 from touchd.daemon.sinks.journal import Journal
-from touchd.daemon.sinks.touch_store import TouchStore, kept_touches
+from touchd.daemon.sinks.touch_store import TouchStore, saved_touches
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.frame import Frame
 
@@ -83,7 +83,7 @@ def test_recordings_of_people_are_as_private_as_the_journal(tmp_path: Path) -> N
     try:
         TouchStore(tmp_path / "touches", 3, "a made pad").add(ended_touch(1))
         Journal(tmp_path / "events.jsonl", max_bytes=10_000, keep=1).close()
-        (kept,) = kept_touches(tmp_path / "touches")
+        (kept,) = saved_touches(tmp_path / "touches")
         converted = tmp_path / "copy.mcap"
         assert cli.main(["convert", str(kept.path), "-o", str(converted)]) == 0
     finally:

@@ -179,7 +179,7 @@ def test_the_view_has_room_for_any_gestures(gestures: list[str]) -> None:
 def test_every_key_that_labels_a_touch_is_shown(size: tuple[int, int], language: Language) -> None:
     view, console = view_of(*size, language=language)
     gestures = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
-    view.labeller = Labeller(view.put, {"pad": gestures}, are_kept=True)
+    view.labeller = Labeller(view.put, {"pad": gestures}, are_saved=True)
     view.on_key("1")
     assert len(screen(view, console)) == size[1]
     touch(view)

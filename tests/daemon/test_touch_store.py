@@ -29,9 +29,9 @@ from touchd.daemon.sinks.touch_store import (
     TouchStore,
     file_name,
     folder_of,
-    keep_touches,
-    kept_touches,
     labels_in,
+    saved_touches,
+    touch_sink,
 )
 from touchd.drivers.frame import DEFAULT_PAD, NO_TOUCH, Frame
 from touchd.drivers.recording import UNLABELLED, RecordingError, read_recordings
@@ -53,7 +53,7 @@ def sinking(*stores: TouchStore) -> Iterator[TouchSink]:
 
 def numbers(folder: Path) -> list[int]:
     """Return the numbers of the touches in a folder."""
-    return [kept.key[1] for kept in kept_touches(folder)]
+    return [kept.key[1] for kept in saved_touches(folder)]
 
 
 def put(sink: TouchSink, touch: EndedTouch) -> None:
@@ -82,7 +82,7 @@ def test_a_kept_touch_is_what_the_pad_sent(store: TouchStore, tmp_path: Path) ->
             pipeline.on_frame(frame)
     (start,) = (event for event in events if isinstance(event, TouchBegan))
     (end,) = (event for event in events if isinstance(event, TouchEnded))
-    (kept,) = kept_touches(tmp_path / "touches")
+    (kept,) = saved_touches(tmp_path / "touches")
     assert kept.key == (start.time, start.touch)
     assert start.sensor_ms == 1500
     assert end.sensor_ms is not None
@@ -157,7 +157,7 @@ def test_rest_touch_and_quiet_are_kept_in_bounds(
             if ms == found_ms:
                 sink.put(change(touch.began, sensor_ms=(since_ms + first_ms) % 2**32))
         sink.put(change(touch.ended, sensor_ms=(since_ms + last_ms) % 2**32, reason=reason))
-    (kept,) = kept_touches(store._folder)
+    (kept,) = saved_touches(store._folder)
     clocks = [(part.sensor_ms - since_ms) % 2**32 for part in read_recordings(kept.path)]
     assert [(clock[0], clock[-1]) for clock in clocks] == pieces
 
@@ -205,7 +205,7 @@ def test_labels_are_read_from_the_journal_beside(tmp_path: Path, pad: str) -> No
     found = {int(name.split("-")[-2]): label for name, label in labels_in(folder).items()}
     assert found == {1: "pat", 3: NO_TOUCH}
     sensors = {} if pad == DEFAULT_PAD else {pad: PadSettings(port="/dev/pad")}
-    sink = keep_touches(Settings(sensors=sensors), journal, 3)
+    sink = touch_sink(Settings(sensors=sensors), journal, 3)
     labelled = {(said(number, "").began, number) for number in (1, 3, 9)} | {(other.began, 4)}
     assert sink._stores[pad]._labelled == labelled
 
@@ -214,7 +214,7 @@ def test_tags_say_who_touched_what(store: TouchStore, tmp_path: Path) -> None:
     touch = ended_touch(1)
     began = msgspec.structs.replace(touch.began, tags={"participant": "P07", "cover": "fur", "trial": "3"})
     store.add(replace(touch, began=began))
-    (kept,) = kept_touches(tmp_path / "touches")
+    (kept,) = saved_touches(tmp_path / "touches")
     recording = read_frames(kept).touch
     assert (recording.participant, recording.substrate, recording.cover) == ("P07", UNLABELLED, "fur")
 
@@ -223,7 +223,7 @@ def test_an_unusable_folder_is_reported_with_its_setting(tmp_path: Path) -> None
     (tmp_path / "events.jsonl.touches").touch()
     for path, why in ((tmp_path / "events.jsonl", "File exists"), (Path("/nowhere/e"), "No such file")):
         with pytest.raises(RecordingError, match=rf"{why}.*give another journal.path"):
-            keep_touches(Settings(), path, 3)
+            touch_sink(Settings(), path, 3)
     assert not Path("/nowhere").exists()
 
 
@@ -238,14 +238,14 @@ def test_a_hanging_disk_never_blocks_the_loop(
             put(sink, ended_touch(number))
         assert 3 <= sink.dropped <= 4
         goes_on.set()
-    assert len(kept_touches(tmp_path / "touches")) == many - sink.dropped
+    assert len(saved_touches(tmp_path / "touches")) == many - sink.dropped
 
 
 FILL_A_SMALL_DISK = """
 import logging, sys
 from pathlib import Path
 from rigs.ended_touch import ended_touch, read_frames
-from touchd.daemon.sinks.touch_store import TouchStore, kept_touches
+from touchd.daemon.sinks.touch_store import TouchStore, saved_touches
 logging.basicConfig(level=logging.INFO, format="%(levelname)s %(message)s")
 folder = Path(sys.argv[1]) / "touches"
 ballast = Path(sys.argv[1]) / "ballast"
@@ -255,12 +255,12 @@ number = 0
 while store.lost < 20:
     number += 1
     store.add(ended_touch(number))
-whole = [kept.key[1] for kept in kept_touches(folder)]
+whole = [kept.key[1] for kept in saved_touches(folder)]
 assert whole == list(range(1, number - 19)), whole
 ballast.unlink()
 store.add(ended_touch(0))
-assert len(kept_touches(folder)) == len(whole) + 1
-assert all(len(read_frames(kept).touch.counts) == 20 for kept in kept_touches(folder))
+assert len(saved_touches(folder)) == len(whole) + 1
+assert all(len(read_frames(kept).touch.counts) == 20 for kept in saved_touches(folder))
 assert len(list(folder.iterdir())) == len(whole) + 1, list(folder.iterdir())
 """
 
@@ -294,7 +294,7 @@ def test_rest_holds_nothing_of_an_earlier_touch(store: TouchStore, tmp_path: Pat
             if ms in (1600, 2400):
                 sink.put(change(touch.began, sensor_ms=ms - 600))
                 sink.put(change(touch.ended, sensor_ms=ms - 100))
-    first, second = (read_frames(kept) for kept in kept_touches(tmp_path / "touches"))
+    first, second = (read_frames(kept) for kept in saved_touches(tmp_path / "touches"))
     assert first.before is not None
     assert first.before.sensor_ms.tolist() == list(range(0, 1000, 100))
     assert second.before is not None
@@ -323,13 +323,13 @@ def test_a_folder_that_fails_loses_touches_and_says_so_once(
 
 
 def test_a_folder_that_is_missing_holds_no_touches(tmp_path: Path) -> None:
-    assert kept_touches(tmp_path / "nothing") == []
+    assert saved_touches(tmp_path / "nothing") == []
     (tmp_path / "file").touch()
     with pytest.raises(RecordingError, match="file: cannot be read"):
-        kept_touches(tmp_path / "file")
+        saved_touches(tmp_path / "file")
     (tmp_path / file_name(timestamp(0.0), 1, 1)).mkdir()
     (tmp_path / file_name(timestamp(0.0), 2, 2)).symlink_to("file")
-    assert kept_touches(tmp_path) == []
+    assert saved_touches(tmp_path) == []
 
 
 def test_each_pads_touches_are_kept_without_forgotten_frames(store: TouchStore, tmp_path: Path) -> None:

@@ -162,7 +162,7 @@ def test_each_status_counts_from_the_one_before(
 def test_dropped_frames_are_logged_until_the_queue_is_empty(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
     service = Service(Settings(sensor=SensorSettings(port="/dev/nobody")))
-    service.tell(LinesSink("stdout", os.open(os.devnull, os.O_WRONLY), encode))
+    service.add_sink(LinesSink("stdout", os.open(os.devnull, os.O_WRONLY), encode))
     (pad,) = service.pads
     pad.queue.put_all([FRAME] * 600)
     service.run(lambda: True)
@@ -237,7 +237,7 @@ def test_the_robots_sink_stops_first_then_all_others_at_once() -> None:
     stopped, others = list[MeetingSink](), threading.Barrier(3)
     sinks = [MeetingSink(stopped, others) for _ in range(4)]
     for sink in sinks:
-        service.tell(sink)
+        service.add_sink(sink)
     service.run(lambda: True)
     assert (stopped[0], set(stopped), len(stopped)) == (sinks[-1], set(sinks), 4)
 

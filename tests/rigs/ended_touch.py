@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from touchd.daemon.path.events import TouchBegan, TouchEnded, timestamp
-from touchd.daemon.sinks.touch_store import EndedTouch, KeptTouch
+from touchd.daemon.sinks.touch_store import EndedTouch, SavedTouch
 from touchd.drivers.frame import Frame
 from touchd.drivers.recording import UNLABELLED, Recording, read_recordings
 
@@ -29,16 +29,16 @@ def ended_touch(number: int, rest_frames: int = 10, after_s: float = 0.0) -> End
 
 
 @dataclass(frozen=True, eq=False)
-class KeptFrames:
-    """What a kept touch's file holds; rest before and quiet after it may be missing."""
+class SavedFrames:
+    """What a saved touch's file holds; rest before and quiet after it may be missing."""
 
     before: Recording | None
     touch: Recording
     after: Recording | None
 
 
-def read_frames(kept: KeptTouch) -> KeptFrames:
-    parts = read_recordings(kept.path)
+def read_frames(saved: SavedTouch) -> SavedFrames:
+    parts = read_recordings(saved.path)
     (place,) = (number for number, part in enumerate(parts) if part.gesture == UNLABELLED)
     before, after = parts[:place], parts[place + 1 :]
-    return KeptFrames(before[0] if before else None, parts[place], after[0] if after else None)
+    return SavedFrames(before[0] if before else None, parts[place], after[0] if after else None)

@@ -36,7 +36,7 @@ class Served:
         made = Settings(live=LiveSettings(port=0, label=label), **settings)
         self.models = dict.fromkeys(made.pads, classifier)
         self.labels: list[Event] = []
-        labeller = Labeller(self._take, dict.fromkeys(made.pads, classifier.labels), are_kept=True)
+        labeller = Labeller(self._take, dict.fromkeys(made.pads, classifier.labels), are_saved=True)
         self.sink = LiveServer(made, self.models, labeller=labeller if label else None)
         self.sink.start()
         self.port = self.sink.listening.getsockname()[1]
