@@ -75,13 +75,13 @@ def waiting(what: str, limit_s: float, stopping: threading.Event) -> Iterator[Go
 class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Where the robot is and how to log in, if token_file is given. The token itself is never a setting.
 
-    certificate: the fingerprint of the robot's, sha256:HEX, or "any"; a token needs it. client: "qi" uses the
-    robot's own library instead of `wire`.
+    user: None is nao. certificate: the fingerprint of the robot's, sha256:HEX, or "any"; a token needs it.
+    client: "qi" uses the robot's own library instead of `wire`.
     """
 
     url: str
     prefix: str = "TouchGesture"
-    user: str = "nao"
+    user: str | None = None
     token_file: str | None = None
     certificate: str | None = None
     client: Literal["touchd", "qi"] = "touchd"
@@ -91,6 +91,8 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
             raise ValueError(f"prefix {self.prefix!r} must be one word and not begin with AL, as the robot's")
         if self.token_file is not None and "/" not in self.token_file:
             raise ValueError("token_file is not a full path; write the token into a file and give its path")
+        if self.user is not None and self.token_file is None:
+            raise ValueError("user lacks its token; write that into a file and set token_file to its path")
         if self.address[0] != "tcps" and (self.token_file or self.certificate):
             raise ValueError(f"url {self.url}: what is sent there is not encrypted; use tcps://")
         if self.client == "qi" and self.pinned:
@@ -121,7 +123,7 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         if not self.certificate:
             why = f"robot {self.url}: whoever answers there would get the token; set robot.certificate"
             raise RobotError(f"{why} to its own, which touchd doctor shows, or any if nobody else can answer")
-        return {"user": self.user, "token": token}
+        return {"user": self.user or "nao", "token": token}
 
 
 class RobotSession(Protocol):
