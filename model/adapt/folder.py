@@ -82,7 +82,8 @@ def read_all(
             f"{folder}: nobody has said what its touches were, or the journal that says it is not beside the "
             "folder; label touches on the live page (live.label) or with `touchd run --view`"
         )
-    _check_gestures(folder, {recording.gesture for recording in recordings}, known, keep_all)
+    more = "label touches of another" if labels else f"make some with `touchd record {folder}`"
+    _check_gestures(folder, {recording.gesture for recording in recordings}, known, keep_all, more)
     people = {recording.participant for recording in recordings} - {UNLABELLED}
     if len(people) == 1:
         # The daemon saves touches without a name.
@@ -156,15 +157,14 @@ def _check(path: Path, recording: Recording, first_of: dict[bytes, Path]) -> Non
     first_of[digest] = path
 
 
-def _check_gestures(folder: Path, gestures: set[str], known: Sequence[str], keep_all: bool) -> None:
+def _check_gestures(
+    folder: Path, gestures: set[str], known: Sequence[str], keep_all: bool, more: str
+) -> None:
     if why := trouble_with(gestures, known):
         raise ExtraError(f"{folder}: {why}")
     if len(gestures) < 2:
         found = f"nothing but {', '.join(gestures)}" if gestures else "no recordings"
-        raise ExtraError(
-            f"{folder}: holds {found}, and telling apart takes two gestures; make some with "
-            f"`touchd record {folder}`"
-        )
+        raise ExtraError(f"{folder}: holds {found}, and telling apart takes two gestures; {more}")
     labels = gestures.union(known if keep_all else (), {NO_TOUCH})
     if len(labels) > MOST_LABELS:
         raise ExtraError(f"{folder}: {len(labels)} gestures; at most {MOST_LABELS} can be told apart")

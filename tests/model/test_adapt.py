@@ -516,6 +516,8 @@ def test_labels_beside_the_files_name_saved_touches(tmp_path: Path) -> None:
         ("pat", 27 + 12 + 43),
     ]
     assert found.passed_over == {"without a label": 1}
+    with pytest.raises(ExtraError, match=r"nothing but pat, .*; label touches of another"):
+        read_all(lab, (), labels={first: "pat"})
 
 
 def test_touches_of_unknown_people_belong_to_the_only_known_one(tmp_path: Path) -> None:
