@@ -17,13 +17,7 @@ from touchd.drivers.frame import COLUMNS, ROWS
 from touchd.drivers.installed import program_name
 from touchd.drivers.robot.link import ADVICE, client_of
 from touchd.drivers.robot.session import PORTS as ROBOT_PORTS
-from touchd.drivers.robot.session import (
-    RobotError,
-    RobotLimits,
-    RobotLost,
-    RobotRefused,
-    RobotSettings,
-)
+from touchd.drivers.robot.session import RobotError, RobotLimits, RobotLost, RobotRefused, RobotSettings
 from touchd.drivers.robot.wire import encrypted
 from touchd.model.classifier import ModelError
 
