@@ -127,9 +127,9 @@ def make_bridges(settings: Settings, models: Mapping[str, Classifier]) -> tuple[
             if importlib.util.find_spec(library) is None:
                 raise BridgeError(f"{name}: {library} is not installed: {how_to_install(name)}")
         if isinstance(section, LslSettings | Ros2Settings):
-            from touchd.daemon.bridges.apart import ApartBridge
+            from touchd.daemon.bridges.process import ProcessBridge
 
-            bridges.append(ApartBridge(section, settings.name, tuple(settings.pads)))
+            bridges.append(ProcessBridge(section, settings.name, tuple(settings.pads)))
         elif isinstance(section, MqttSettings):
             from touchd.daemon.bridges.mqtt import MqttBridge
 

@@ -18,7 +18,7 @@ Item: TypeAlias = Event | tuple[Frame, str]
 # One second of frames of a pad; more would only delay events.
 MOST_FRAMES = 54
 POLL_S = 0.05
-# A frame as a sensor_msgs/Image of ROS, but for its header and its pixels.
+# A frame as a sensor_msgs/Image of ROS, without header and pixels.
 IMAGE: Mapping[str, Any] = {
     "height": ROWS,
     "width": COLUMNS,
@@ -26,11 +26,11 @@ IMAGE: Mapping[str, Any] = {
     "is_bigendian": 0,
     "step": 2 * COLUMNS,
 }
-# An event that has waited longer is not sent: a receiver would take it for a new one. As for the robot.
+# An event that has waited longer is not sent, here and to the robot: a receiver would take it for a new one.
 STALE_S = 2.0
 GOODBYE_S = 1.0
-# What a peer may send over a connection: at first, for each second, and for each item that it gets. touchd
-# subscribes to next to nothing, but libraries keep whatever comes.
+# How much a peer may send over a connection: at first, per second, and per item that it receives. touchd
+# subscribes to next to nothing, but libraries keep whatever arrives.
 PEER_FIRST_BYTES, PEER_BYTES_PER_S, PEER_BYTES_PER_ITEM = 16 * 1024, 64, 1024
 
 
@@ -46,11 +46,11 @@ def kind_of(event: Event) -> str:
 class Bridge(QueuedSink[Any]):
     """Sends the events of one or several pads to another system, and their frames if configured.
 
-    Its queue has a thread, and so has the connection, which is kept open. While the peer is away, events wait
-    for STALE_S and frames are dropped. Other pads' events are ignored.
+    One thread works off the queue, another keeps the connection open. While the peer is away, events wait for
+    STALE_S and frames are dropped. Other pads' events are ignored.
     frames_hz: at most this many frames a second for each pad; math.inf: all frames; None: none.
     where: the peer's address, for the log.
-    limit: of what the peer may send over the present connection.
+    limit: of what the peer may send over the current connection.
     """
 
     # Pause before each attempt to connect again.
@@ -68,9 +68,9 @@ class Bridge(QueuedSink[Any]):
 
     @abstractmethod
     def hold(self) -> str:
-        """Connect, call `connected`, and return why the connection ended; runs in the connection's thread.
+        """Connect, call `connected`, serve, and return why the connection ended.
 
-        If it raises an error, that is logged as the reason.
+        Runs in the connection's thread. An error that it raises is logged as the reason.
         """
 
     @abstractmethod
@@ -86,7 +86,7 @@ class Bridge(QueuedSink[Any]):
         """End the current connection, if any, so that `hold` returns soon."""
 
     def note(self, event: Event) -> None:
-        """Take what an event changes that has to be known even if it is not sent."""
+        """Update the state that an event changes, even if the event is not sent."""
 
     def start(self) -> None:
         self._keeper.start()
@@ -104,7 +104,7 @@ class Bridge(QueuedSink[Any]):
         due_s, period_s = self._next_frame_s[pad], 1.0 / self.frames_hz
         if frame.host_s < due_s:
             return
-        # A late frame does not shift the schedule; a pause does.
+        # A late frame keeps the schedule; after a pause, a new one begins.
         begin_s = due_s if frame.host_s - due_s < period_s else frame.host_s
         self._next_frame_s[pad] = begin_s + period_s
         if len(self._items) < MOST_FRAMES * len(self._next_frame_s):
@@ -173,7 +173,7 @@ class Bridge(QueuedSink[Any]):
 class PeerLimit:
     """Limits what a peer may send over one connection, before a library keeps or parses it.
 
-    sent: items that the peer got, which it may answer.
+    sent: items that the peer received, and may answer.
     """
 
     def __init__(self) -> None:

@@ -11,7 +11,7 @@ from touchd.daemon.bridges.bridge import kind_of
 from touchd.daemon.path.events import Event, Prediction, epoch_s
 from touchd.drivers.frame import COLUMNS, ROWS, Frame
 
-LOOKS = 10
+READINGS = 10
 
 
 class LslOutlet:
@@ -19,7 +19,7 @@ class LslOutlet:
 
     def __init__(self, name: str, pad: str) -> None:
         self._stream = f"{name}-{pad}"
-        # Both clocks are monotonic, so a frame's stamp is exact however late it is sent.
+        # Both clocks are monotonic, so a frame's stamp is exact however late the frame is sent.
         self._ahead_s = _ahead_of(time.monotonic)
         self._markers = pylsl.StreamOutlet(self._info("markers", "Markers", 1, "string"))
         pressure = self._info("pressure", "Pressure", ROWS * COLUMNS, "float32")
@@ -34,8 +34,8 @@ class LslOutlet:
         self._pressure.push_sample(frame.pressure.ravel().tolist(), frame.host_s + self._ahead_s)
 
     def _info(self, name: str, kind: str, channels: int, form: str) -> pylsl.StreamInfo:
-        # Each sample has its time, and pads differ in rate. With the same source_id an inlet finds the stream
-        # again after touchd was restarted; another computer's stream must not have it.
+        # Irregular: each sample has its own time. By its source_id an inlet finds the stream again after a
+        # restart of touchd; another computer's stream must have another one.
         full = f"{self._stream}-{name}"
         source = f"{socket.gethostname()}-{full}"
         return pylsl.StreamInfo(full, kind, channels, pylsl.IRREGULAR_RATE, form, source_id=source)
@@ -44,19 +44,19 @@ class LslOutlet:
 def marker_of(event: Event) -> str:
     """Return an event as a short marker; MNE selects by the words between the slashes."""
     if isinstance(event, Prediction):
-        says = [event.stage, event.gesture, "told" if event.told else "untold"]
+        words = [event.stage, event.gesture, "told" if event.told else "untold"]
     else:
         names = ("gesture", "state", "action")
-        says = [kind_of(event), *(getattr(event, name) for name in names if hasattr(event, name))]
+        words = [kind_of(event), *(getattr(event, name) for name in names if hasattr(event, name))]
     tags = {} if event.tags is UNSET else event.tags
-    return "/".join([*says, *(f"{key}={value}" for key, value in tags.items())])
+    return "/".join([*words, *(f"{key}={value}" for key, value in tags.items())])
 
 
 def _ahead_of(clock: Callable[[], float]) -> float:
-    """Return how far LSL's clock is ahead of `clock`, in seconds, from the quickest of LOOKS readings."""
+    """Return how far LSL's clock is ahead of `clock`, in seconds, by the quickest of some readings."""
 
-    def look() -> tuple[float, float]:
+    def read() -> tuple[float, float]:
         before_s, lsl_s, after_s = clock(), float(pylsl.local_clock()), clock()
         return after_s - before_s, lsl_s - (before_s + after_s) / 2
 
-    return min(look() for _ in range(LOOKS))[1]
+    return min(read() for _ in range(READINGS))[1]

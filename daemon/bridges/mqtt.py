@@ -25,7 +25,7 @@ KEEPALIVE_S = 10
 CONNECT_S = 3.0
 STOPPED, LOST = "stopped", "lost"
 HOME_ASSISTANT_IS_THERE = b"online"
-# How a broker answers that knows only MQTT 3.1.1.
+# The answer of a broker that supports only MQTT 3.1.1.
 NO_MQTT_5 = "Unsupported protocol version"
 # Home Assistant's template: told answers only, with the gesture as the event's type.
 TO_HOME_ASSISTANT = (
@@ -40,7 +40,7 @@ class MqttBridge(Bridge):
 
     The state is the pad's (see `SensorEvent`), "stopped" (touchd has ended) or, as the last will, "lost".
     With `discovery` it announces the pad to Home Assistant and publishes whether it is touched.
-    It speaks MQTT 5, in which a broker says what it refuses, and 3.1.1 with brokers that lack it.
+    It uses MQTT 5, in which a broker gives the reason of a refusal, or 3.1.1 with brokers that lack it.
     name: of the robot. labels: the gestures that an answer can have.
     """
 
@@ -48,19 +48,19 @@ class MqttBridge(Bridge):
         self._settings = settings
         self._labels = labels
         self._topic = f"{name}/{pad}"
-        # With the topic, as each pad has a connection of its own.
+        # Each pad has a connection of its own.
         where = f"{settings.host}:{settings.port} ({self._topic})"
         super().__init__("mqtt", [pad], settings.pressure_hz, where)
         self._state, self._is_touched = "down", False
-        # Held while the retained messages are published, so that the newest comes last.
+        # Held while retained messages are published, so that the newest is published last.
         self._retaining = threading.Lock()
-        # With the same name, a new connection replaces a lost one, whose last will the broker still holds. By
-        # its random end, the clients of cloned computers do not end each other's connections.
+        # One id for all connections: a new one replaces a lost one, whose last will the broker still holds.
+        # Its random end keeps cloned computers from ending each other's connections.
         own = f"touchd_{socket.gethostname()}_{self._topic}_{secrets.token_hex(4)}"
         self._client_id = own.replace("/", "_")
         # The first is tried next.
         self._versions = [MQTTProtocolVersion.MQTTv5, MQTTProtocolVersion.MQTTv311]
-        # Raises what is wrong with the files now; each connection reads them again.
+        # Reports wrong files now; each connection reads them again.
         self._client = self._new_client()
 
     def hold(self) -> str:
@@ -99,7 +99,7 @@ class MqttBridge(Bridge):
         return client
 
     def note(self, event: Event) -> None:
-        """Publish what is retained as it changes, even when the event itself has become stale."""
+        """Publish retained values when they change, even if the event itself is stale."""
         with self._retaining:
             before = self._state, self._is_touched
             match event:
@@ -110,7 +110,7 @@ class MqttBridge(Bridge):
                     self._is_touched = True
                 case TouchEnded():
                     self._is_touched = False
-            # On the next connection it is published in any case.
+            # A new connection publishes them in any case.
             if before != (self._state, self._is_touched) and self._peer_is_there.is_set():
                 self._publish_values(self._client)
 
@@ -162,7 +162,7 @@ class MqttBridge(Bridge):
                 self._announce(client)
 
     def _announce(self, client: "_Client") -> None:
-        """Publish all that is retained."""
+        """Publish all retained messages."""
         if self._settings.discovery is not None:
             for topic, payload in announcements(self._settings.discovery, self._topic, self._labels).items():
                 client.send(topic, payload, retain=True)
@@ -187,14 +187,14 @@ class MqttBridge(Bridge):
 class _Client(mqtt.Client):
     """A paho client for one connection.
 
-    is_greeted: whether the broker has answered in this version of MQTT. why: reason for the end. topics: of
-    what the broker has not acknowledged, by number.
+    is_greeted: whether the broker has answered in this version of MQTT. why: why the connection ended.
+    topics: of messages that the broker has not acknowledged, by number.
     """
 
     def __init__(
         self, name: str, version: MQTTProtocolVersion, limit: PeerLimit, stopping: threading.Event
     ) -> None:
-        # The bridge connects again, with a client that holds nothing of a lost connection.
+        # The bridge reconnects, with a new client without leftovers of the lost connection.
         super().__init__(CallbackAPIVersion.VERSION2, name, protocol=version, reconnect_on_failure=False)
         self.is_greeted = False
         self.why = "the connection was closed before a greeting: is it a broker, and does it want TLS?"
@@ -230,12 +230,12 @@ class _Client(mqtt.Client):
 
 def _words(code: ReasonCode, properties: Properties | None) -> str:
     """Return a reason code with the broker's own words, if it sent any."""
-    said = getattr(properties, "ReasonString", "")
-    return f"{code}: {said}" if said else str(code)
+    reason = getattr(properties, "ReasonString", "")
+    return f"{code}: {reason}" if reason else str(code)
 
 
 def announcements(discovery: str, topic: str, labels: Sequence[str]) -> dict[str, bytes]:
-    """Return what announces a pad to Home Assistant, by topic: its gestures, and whether it is touched."""
+    """Return the messages that announce a pad's entities to Home Assistant, by topic."""
     name = topic.replace("/", "_")
     common = {
         "availability_topic": f"{topic}/state",

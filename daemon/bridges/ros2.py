@@ -25,8 +25,8 @@ from touchd.drivers.faults import FaultLog
 from touchd.drivers.frame import Frame
 from touchd.drivers.hosts import own_addresses
 
-# Interval of checks whether the network has changed.
-LOOK_S = 5.0
+# How often to check whether the network has changed.
+CHECK_S = 5.0
 
 # The defaults of rclpy and rclcpp. A reliable writer suits reliable and best-effort readers.
 QOS = Qos(
@@ -89,12 +89,12 @@ class Ros2Outlet:
     """Publishes gesture (a String, told ones only), event (JSON in a String) and pressure (an Image).
 
     domain: ROS_DOMAIN_ID. name: of the robot.
-    Raises BridgeError when this computer has no network, or another than it had at first.
+    Raises BridgeError when this computer has no network, or its addresses have changed.
     """
 
     def __init__(self, domain: int, name: str, pad: str) -> None:
         # DDS chooses a network when it starts.
-        self._addresses, self._looked_s = set(own_addresses()), time.monotonic()
+        self._addresses, self._checked_s = set(own_addresses()), time.monotonic()
         self._faults = FaultLog(logging.getLogger(__name__))
         try:
             participant = DomainParticipant(domain, Qos(Policy.EntityName(f"touchd_{socket.gethostname()}")))
@@ -119,12 +119,12 @@ class Ros2Outlet:
         self._write(self._pressure, image(frame, self._pad))
 
     def _write(self, writer: DataWriter[IdlStruct], message: IdlStruct) -> None:
-        if time.monotonic() - self._looked_s > LOOK_S:
-            self._looked_s = time.monotonic()
+        if time.monotonic() - self._checked_s > CHECK_S:
+            self._checked_s = time.monotonic()
             if set(own_addresses()) != self._addresses:
                 raise BridgeError("the network has changed")
         try:
             writer.write(message)
-        # Raised, for example, when a reader accepts nothing.
+        # For example, a reader accepts nothing.
         except DDSException as error:
             self._faults.begin("refused", f"a message was refused ({str(error).splitlines()[0]})")

@@ -38,7 +38,7 @@ class RosbridgeBridge(Bridge):
         self._id = f"touchd_{name}"
         self._prefix = f"/{name}/{pad}"
         self._connection: ClientConnection | None = None
-        # With the topic, as each pad has a connection of its own.
+        # Each pad has a connection of its own.
         where = f"{settings.shown_url} ({self._prefix})"
         # The bridge logs why a connection ended; the library's own lines would show the URL's token.
         logging.getLogger("websockets.client").setLevel(logging.CRITICAL)
@@ -73,7 +73,7 @@ class RosbridgeBridge(Bridge):
             if isinstance(event, Prediction) and event.told:
                 self._publish(connection, "gesture", {"data": event.gesture})
             self._publish(connection, "event", {"data": encode(event).decode()})
-            # A server confirms no message. Its answer to a ping says that it has read what came before.
+            # A server confirms no message, but its answer to a ping shows that it has read those before.
             pong = connection.ping()
         except WebSocketException:
             return False
@@ -95,7 +95,7 @@ class RosbridgeBridge(Bridge):
             self._connection.close()
 
     def _read_status(self, message: str | bytes) -> None:
-        """Note what the server refuses; anything else that it sends is ignored."""
+        """Log what the server refuses; ignore anything else that it sends."""
         # RecursionError: lists nested too deeply.
         with suppress(msgspec.DecodeError, UnicodeDecodeError, RecursionError):
             status = msgspec.json.decode(message, type=_Status)
@@ -116,7 +116,7 @@ class _Status(msgspec.Struct, tag_field="op", tag="status"):
 
 
 def _limit(connection: ClientConnection, limit: PeerLimit) -> None:
-    """Shut a connection down once the server has sent too much, before websockets keeps that."""
+    """Shut a connection down once the server has sent too much, before websockets stores it."""
     receive = connection.protocol.receive_data
 
     def limited(data: bytes | bytearray) -> None:

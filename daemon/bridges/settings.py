@@ -13,7 +13,7 @@ RobotName = Annotated[str, msgspec.Meta(pattern=f"^{_PART}(/{_PART})*$")]
 
 
 class MqttSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """An MQTT broker, its name or address alone. A pad's topics are NAME/PAD/event, /state and /pressure."""
+    """An MQTT broker; host: name or address. A pad's topics are NAME/PAD/event, /state and /pressure."""
 
     host: Annotated[str, msgspec.Meta(pattern=r"^(?![^:]*:[^:]*$)[^\s/[\]]+$")] = "localhost"
     port: Port = 1883
@@ -52,7 +52,7 @@ class RosbridgeSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
 
     def __post_init__(self) -> None:
         try:
-            # Looking at the port checks it.
+            # Reading the port checks it.
             _ = urlsplit(self.url).port
         except ValueError as error:
             raise ValueError(

@@ -22,8 +22,8 @@ from rigs.wait import WITHIN_S, wait_for
 
 from touchd.daemon.app.config import Settings
 from touchd.daemon.app.parts import make_bridges
-from touchd.daemon.bridges.apart import ApartBridge
 from touchd.daemon.bridges.bridge import BridgeError
+from touchd.daemon.bridges.process import ProcessBridge
 from touchd.daemon.bridges.settings import LslSettings, RosbridgeSettings
 from touchd.daemon.path.events import (
     Label,
@@ -45,7 +45,7 @@ def test_why_a_library_cannot_be_loaded_is_a_warning_and_its_notes_are_not(
     (tmp_path / "pylsl.py").write_text(f"{says}\n{fails}")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     caplog.set_level(logging.INFO)
-    bridge = ApartBridge(LslSettings(), "touchd", [PAD])
+    bridge = ProcessBridge(LslSettings(), "touchd", [PAD])
     bridge.start()
     wait_for(lambda: "is away" in caplog.text)
     bridge.stop(2.0)
@@ -180,7 +180,7 @@ def test_ros2_starts_again_where_the_network_is_another(
         raise DDSException(DDSException.DDS_RETCODE_ERROR)
 
     domain = Ros2Peer(tmp_path).domain
-    monkeypatch.setattr(ros2, "LOOK_S", 0.0)
+    monkeypatch.setattr(ros2, "CHECK_S", 0.0)
     outlet = ros2.Ros2Outlet(domain, "touchd", PAD)
     outlet.send_event(PREDICTION)
     monkeypatch.setattr(ros2, "own_addresses", lambda: ["192.0.2.7"])

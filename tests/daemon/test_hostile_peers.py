@@ -21,7 +21,7 @@ from rigs.wait import AT_ONCE_S, wait_for
 
 from touchd.daemon.app.config import LiveSettings, PadSettings, SensorSettings
 from touchd.daemon.app.log import MOST_LINES
-from touchd.daemon.bridges.apart import MOST_MB
+from touchd.daemon.bridges.process import MOST_MB
 from touchd.daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings, RosbridgeSettings
 from touchd.daemon.playback.rig import encoder_for
 from touchd.drivers.fakes.fake_port import FakePort

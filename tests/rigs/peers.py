@@ -19,8 +19,8 @@ import pytest
 from rigs.sockets import free_port
 from rigs.wait import WITHIN_S, wait_for
 
-from touchd.daemon.bridges.apart import ApartBridge
 from touchd.daemon.bridges.bridge import Bridge
+from touchd.daemon.bridges.process import ProcessBridge
 from touchd.daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings, RosbridgeSettings
 from touchd.drivers.frame import Frame
 
@@ -227,7 +227,7 @@ class LslPeer(Peer):
         self.name = f"test{free_port()}"
 
     def make(self) -> Bridge:
-        return ApartBridge(LslSettings(), self.name, [PAD])
+        return ProcessBridge(LslSettings(), self.name, [PAD])
 
     def listening(self) -> AbstractContextManager[None]:
         return in_thread(self._listen)
@@ -261,7 +261,7 @@ class Ros2Peer(Peer):
         self.domain = 100 + free_port() % 100
 
     def make(self) -> Bridge:
-        return ApartBridge(Ros2Settings(domain=self.domain), "touchd", [PAD])
+        return ProcessBridge(Ros2Settings(domain=self.domain), "touchd", [PAD])
 
     @contextmanager
     def listening(self) -> Iterator[None]:

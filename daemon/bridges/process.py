@@ -1,8 +1,8 @@
 """Runs LSL and ROS 2 in a separate process, as anybody on the network can fill the memory of their libraries.
 
-liblsl stores a request of any length, DDS every participant that announces itself; neither has a limit. The
-process may grow by MOST_MB. Beyond that it ends, and the daemon keeps running and starts another.
-`python -m touchd.daemon.bridges.apart` is that process.
+liblsl stores a request of any length, DDS every participant that announces itself; neither has a limit. If
+the process grows by more than MOST_MB it ends, and the daemon starts another.
+`python -m touchd.daemon.bridges.process` is that process.
 """
 
 import math
@@ -26,9 +26,9 @@ from touchd.daemon.path.events import Event
 from touchd.drivers.frame import Frame
 
 MOST_MB = 16
-# liblsl starts a thread for each listener; with the usual 8 MB of stack each, a few would exceed MOST_MB.
+# liblsl starts a thread for each listener; a few stacks of the usual 8 MB would exceed MOST_MB.
 SMALL_STACKS = ("/bin/sh", "-c", 'ulimit -s 512; exec "$@"', "sh")
-PROGRAM = (sys.executable, "-m", "touchd.daemon.bridges.apart")
+PROGRAM = (sys.executable, "-m", "touchd.daemon.bridges.process")
 # Reserve less memory that is never used; import no module from the working folder.
 ENVIRONMENT = {"MALLOC_ARENA_MAX": "2", "OPENBLAS_NUM_THREADS": "1", "PYTHONSAFEPATH": "1"}
 READY = "ready"
@@ -36,13 +36,13 @@ MOST_LINE_BYTES = 1000
 
 
 class Outlet(Protocol):
-    """Publishes one pad's events and frames. Raises BridgeError if the process has to be started again."""
+    """Publishes one pad's events and frames. Raises BridgeError if the process must be restarted."""
 
     def send_event(self, event: Event) -> None: ...
     def send_frame(self, frame: Frame) -> None: ...
 
 
-class ApartBridge(Bridge):
+class ProcessBridge(Bridge):
     """Sends the events and frames of all pads to a process, and restarts that process when it ends.
 
     name: of the robot.
@@ -121,7 +121,7 @@ class ApartBridge(Bridge):
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Publish for some pads the items that come, pickled, on standard input."""
+    """Publish the pickled items that arrive on standard input, for some pads."""
     # Ignore signals to the process group: this process ends when the daemon closes its standard input.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
@@ -133,7 +133,7 @@ def main(arguments: Sequence[str]) -> None:
     except BridgeError as error:
         sys.exit(str(error))
     except MemoryError:
-        # Python may lack the memory to end in order.
+        # Python may lack the memory for an orderly exit.
         signal.raise_signal(signal.SIGKILL)
 
 
@@ -149,11 +149,11 @@ def _outlets(library: str, domain: str, name: str, *pads: str) -> dict[str, Outl
 
 
 def _publish(outlets: Mapping[str, Outlet]) -> None:
-    """Pass on what comes until standard input ends."""
+    """Publish items until standard input ends."""
     _limit_memory()
     sys.stderr.write(f"{READY}\n")
     sys.stderr.flush()
-    # Half an item: the daemon has stopped, or was killed.
+    # A partial item: the daemon has stopped, or was killed.
     with suppress(EOFError, pickle.UnpicklingError):
         while True:
             item: Item = pickle.load(sys.stdin.buffer)
