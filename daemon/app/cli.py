@@ -1,4 +1,4 @@
-"""The command `touchd`: finds the subcommand, and turns every error into one line and an exit code."""
+"""The command `touchd`: runs a subcommand, and turns every error into one line and an exit code."""
 
 import argparse
 import difflib
@@ -75,8 +75,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         discard_output()
         return 0
     except Exception as error:
-        # A compiled module that is interrupted while it is imported raises an error of its own, and so does
-        # a lock that is interrupted while a thread waits for it.
+        # Ctrl-C during the import of a compiled module, or while a thread waits for a lock, is wrapped in
+        # another error.
         before = error.__context__ if isinstance(error, RuntimeError) else error.__cause__
         if isinstance(before, KeyboardInterrupt):
             return ended
@@ -90,7 +90,7 @@ def _run(words: Sequence[str]) -> int:
         return _answer(words)
     name, *rest = words
     command = module_of(name)
-    # From here on, signals raise KeyboardInterrupt, so that commands clean up; an import could swallow it.
+    # After the import, which could swallow it: signals raise KeyboardInterrupt, so that commands clean up.
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, signal.default_int_handler)
@@ -98,9 +98,9 @@ def _run(words: Sequence[str]) -> int:
 
 
 def _prepare_streams() -> None:
-    """Open /dev/null for closed standard streams, so that no other file gets their number.
+    """Open /dev/null for closed standard streams, so that no other file gets their descriptors.
 
-    Characters that a terminal's encoding lacks are replaced, both ways.
+    Replace characters that the terminal's encoding lacks, in input and output.
     """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
@@ -110,7 +110,7 @@ def _prepare_streams() -> None:
 
 
 def _answer(words: Sequence[str]) -> int:
-    """Print help or version, as asked without a command; returns the exit code. Raises TouchdError."""
+    """Print help or version; returns the exit code. Raises TouchdError for an unknown command."""
     if not words or words[0] in ("-h", "--help", "help"):
         sys.stdout.write(_help())
         return 0 if words else USERS_MISTAKE
@@ -146,11 +146,11 @@ def complain(error: Exception) -> int:
 def _explained(error: Exception) -> tuple[str, int]:
     """Return an error in words, and the exit code for it."""
     if isinstance(error, TouchdError):
-        # An address that this computer does not have yet: systemd starts the service again.
+        # This computer does not have the address yet: let systemd restart the service.
         is_early = getattr(error.__cause__, "errno", None) == errno.EADDRNOTAVAIL
         return str(error), OUR_MISTAKE if is_early else USERS_MISTAKE
     if isinstance(error, ModuleNotFoundError) and (extra := extra_of(error.name or "")):
-        # As a comment: the line's end may be pasted into a shell.
+        # A shell comment, as the command may be pasted with it.
         size = f"  # {SIZES[extra]} on the disk" if extra in SIZES else ""
         return f"{error.name} is not installed (extra {extra}): {how_to_install(extra)}{size}", USERS_MISTAKE
     if isinstance(error, OSError) and error.errno in DISK_FULL:
@@ -161,6 +161,6 @@ def _explained(error: Exception) -> tuple[str, int]:
         return f"{error.filename}: {error.strerror}; {advice}", USERS_MISTAKE
     what = " ".join(f"internal error: {type(error).__name__}: {error}; --debug shows the trace".split())
     if os.environ.get("PYTHONPATH"):
-        # Labs set it for ROS or NAOqi; it puts other versions of libraries before those installed.
+        # Labs set it for ROS or NAOqi; it makes Python import other versions of libraries.
         what += "; PYTHONPATH is set: try again after `unset PYTHONPATH`"
     return what, OUR_MISTAKE

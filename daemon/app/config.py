@@ -42,14 +42,14 @@ DEFAULT_PORT = "/dev/touchd-pad"
 NO_ROOM = (errno.EMFILE, errno.ENFILE, errno.ENOMEM)
 
 Language: TypeAlias = Literal["en", "de"]
-# Not gt=0, here and elsewhere: msgspec makes that the smallest denormal float, which equals 0 once the model
-# is loaded and denormals count as zero.
+# Not gt=0, here and elsewhere: msgspec turns that into the smallest denormal float, which counts as 0 once
+# the model is loaded.
 Length = Annotated[float, msgspec.Meta(ge=0.001, le=10_000)]
 
 
 @contextmanager
 def config_errors() -> Iterator[None]:
-    """Raise any error that a configuration causes as ConfigError, but not a lack of descriptors or memory."""
+    """Turn any error that a configuration causes into ConfigError, except a lack of descriptors or memory."""
     try:
         yield
     except TouchdError:
@@ -61,7 +61,7 @@ def config_errors() -> Iterator[None]:
 
 
 def _check_pads(ports: Mapping[str, str]) -> None:
-    """Raise ValueError if pads cannot be told apart, by us or by ROS and Home Assistant. ports: by name."""
+    """Raise ValueError if names or ports do not distinguish the pads, also in ROS and Home Assistant."""
     if len(ports) > MAX_PADS:
         raise ValueError(f"sensors: {len(ports)} pads, {MAX_PADS} at most; run another touchd")
     named: dict[str, str] = {}
@@ -75,7 +75,7 @@ def _check_pads(ports: Mapping[str, str]) -> None:
 
 
 class SensorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The pad, the line it is on, and how it lies: turned clockwise, then left and right swapped."""
+    """The pad, its port, and how it is mounted: turned clockwise, then left and right swapped."""
 
     port: Annotated[str, msgspec.Meta(min_length=1)] = DEFAULT_PORT
     baud: Annotated[int, msgspec.Meta(ge=1200, le=4_000_000)] = 512_000
@@ -95,7 +95,7 @@ class SensorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
     @property
     def described(self) -> PadFormat:
-        """The format of the pad as it lies."""
+        """The format of the pad as it is mounted."""
         sent = PRESETS[self.format] if isinstance(self.format, str) else self.format
         return PadFormat(**(msgspec.structs.asdict(sent) | {"turn": self.turn, "mirror": self.mirror}))
 
@@ -121,7 +121,7 @@ class JournalSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
 
     @property
     def file(self) -> Path:
-        """The file that path stands for."""
+        """The file: path, or by default one in the service's or the user's state folder."""
         if self.path is not None:
             return written_out(self.path)
         if service := os.environ.get("STATE_DIRECTORY"):
@@ -148,7 +148,7 @@ class Words(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 class Settings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """All settings of `touchd run`. sensor: the only pad. sensors: instead of it, several by their names.
 
-    name: tells this robot's topics and streams from those of others.
+    name: distinguishes this robot's topics and streams from those of others.
     """
 
     sensor: SensorSettings = SensorSettings()

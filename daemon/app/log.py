@@ -8,7 +8,7 @@ from collections.abc import Callable
 from touchd.daemon.sinks.sink import LinesSink
 from touchd.drivers.errors import goes_to_systemd, one_line
 
-# Lines that one place in the code may log in this time: enough for sixteen pads, too few to fill a disk.
+# How many lines one place in the code may log per WHILE_S: enough for sixteen pads, too few to fill a disk.
 MOST_LINES = 60
 WHILE_S = 60.0
 MOST_TRACE_LINES = 100
@@ -20,7 +20,7 @@ SYSLOG_LEVELS = {logging.CRITICAL: 2, logging.ERROR: 3, logging.WARNING: 4, logg
 class LogGate(logging.Filter):
     """Makes each record printable, and limits how often one place in the code logs; debugging is not limited.
 
-    The last line that a place may log within WHILE_S says so; only the first has a stack trace.
+    The last line that a place may log says so; only the first has a stack trace.
     """
 
     def __init__(self) -> None:
@@ -31,7 +31,7 @@ class LogGate(logging.Filter):
     def filter(self, record: logging.LogRecord) -> bool:
         more = ""
         if record.levelno > logging.DEBUG:
-            # Threads that count at once may miss a line, which does no harm.
+            # Threads that count at the same time may miss a line, which does no harm.
             if time.monotonic() >= self._until_s:
                 self._lines.clear()
                 self._until_s = time.monotonic() + WHILE_S
@@ -46,7 +46,7 @@ class LogGate(logging.Filter):
         record.msg, record.args = one_line(record.getMessage()) + more, None
         if record.exc_info and not record.exc_text:
             lines = LINE.formatException(record.exc_info).split("\n")
-            # Indented, so that no line of an error's text can pass for one of the log.
+            # Indented, so that no line of an error's text looks like a line of the log.
             record.exc_text = "\n".join(f"  {one_line(line)}" for line in lines[-MOST_TRACE_LINES:])
         return True
 
@@ -66,8 +66,8 @@ class LogHandler(logging.Handler):
 class LogLines(LinesSink[logging.LogRecord]):
     """Writes log records to a file descriptor, in its own thread.
 
-    If their reader is slow, the oldest are dropped; the next line says how many. For systemd's
-    journal, each line begins with its level, as in <4> (sd-daemon(3)).
+    If the reader is slow, the oldest are dropped; the next line says how many. For systemd's journal, each
+    line begins with its level, as in <4> (sd-daemon(3)).
     """
 
     def __init__(self, fd: int) -> None:

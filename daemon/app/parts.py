@@ -70,7 +70,7 @@ class Parts:
 def make_parts(settings: Settings, emit: Callable[[Event], None], viewers: Viewers, arrived: Signal) -> Parts:
     """Return the parts of a daemon; raises TouchdError when the settings cannot be used.
 
-    emit: receives every event. viewers: see `Pipeline`. arrived: is set whenever a pad's queue has something.
+    emit: receives every event. viewers: see `Pipeline`. arrived: set whenever a pad's queue gets an item.
     """
     check_pad(settings)
     models = load_models(settings)
@@ -102,7 +102,7 @@ def _with_sinks(
     gestures = {name: model.labels for name, model in models.items()}
     labeller = Labeller(emit, gestures, are_saved=touches is not None)
     if settings.live is not None:
-        # It brings asyncio and websockets, which no daemon without a page needs.
+        # It imports asyncio and websockets, which a daemon without a page does not need.
         from touchd.daemon.live.server import LiveServer
 
         live = LiveServer(settings, models, labeller=labeller if settings.live.label else None)
@@ -157,7 +157,7 @@ def load_models(settings: Settings) -> dict[str, Classifier]:
         # The shipped model fits the scene by default.
         if pad.model is not None or pad.scene != SceneSettings():
             check_scene(pad.scene, models[name])
-        # The first answer of each length takes several times longer than those after it.
+        # The first answer of each length takes several times longer than later ones.
         for frames in pad.scene.answer_at_frames:
             models[name].probabilities(np.zeros((frames, ROWS, COLUMNS), np.float32))
             models[name].step(np.zeros((frames, ROWS, COLUMNS), np.float32))
@@ -174,7 +174,7 @@ def load_model(settings: Settings) -> Classifier:
 
 
 def check_scene(scene: SceneSettings, classifier: Classifier) -> None:
-    """Raise ConfigError when a scene asks for gestures or lengths that the model or the scene rules out."""
+    """Raise ConfigError when a scene needs gestures or lengths that the model or the scene excludes."""
     known = set(classifier.labels) - {NO_TOUCH}
     acted_on = {gesture for rule in scene.actions for gesture in rule.gestures} - {OTHER, UNCERTAIN}
     for name, gestures in (("scene.gestures", set(scene.gestures)), ("scene.actions", acted_on)):
@@ -199,7 +199,7 @@ def check_scene(scene: SceneSettings, classifier: Classifier) -> None:
 def check_pad(settings: Settings) -> None:
     """Raise SensorError when the only port can never work.
 
-    A missing, forbidden or busy port is waited for: udev and other programs may be late at boot.
+    The daemon waits for a missing, forbidden or busy port: udev and other programs may be late at boot.
     With several pads, one that cannot work must not stop the others; its events say why.
     """
     if settings.sensors:

@@ -15,12 +15,12 @@ from touchd.drivers.errors import TouchdError
 T = TypeVar("T", bound=msgspec.Struct)
 
 MERGE_TAG = "tag:yaml.org,2002:merge"
-# Messages of msgspec: what is wrong and at which path; what is wrong with a value.
+# Messages of msgspec: a problem and its path; problems with a value.
 PLACED = re.compile(r"(.*) - at `(?:key` in `)?\$?\.?(.*)`", re.DOTALL)
 UNKNOWN = re.compile(r"Object contains unknown field `(.*)`")
 WRONG_KIND = re.compile(r"Expected `(.*)`, got `(.*)`")
 OUT_OF_RANGE = re.compile(r"Expected `(?:int|float)` ([<>]=?) (.*)")
-# Others, and what is wrong in each case. {form}: an example of the setting. {choices}: what it may be.
+# Other messages of msgspec, and touchd's own. {form}: an example of the setting. {choices}: allowed values.
 PROBLEMS = {
     r"Expected `str` matching regex .*": "another form expected, as in {form}",
     r"Invalid enum value (.*)": "{0} is not one of {choices}",
@@ -31,7 +31,7 @@ PROBLEMS = {
     "yes, no",
 }
 LIMITS = {">=": "at least", "<=": "at most", ">": "more than", "<": "less than"}
-# What the number in a setting counts, by the end of the setting's name.
+# The unit of a setting, by the end of its name.
 UNITS = {"_s": "seconds", "_hz": "per second", "_mm": "millimetres", "_frames": "frames"}
 # msgspec's names of types, in words.
 KINDS = {
@@ -42,7 +42,7 @@ KINDS = {
     "float": "a number",
     "bool": "true or false",
 }
-# Settings whose text has a certain form, and sections that look as if they took a single value.
+# Examples of settings whose text has a certain form, and of sections that may be mistaken for a single value.
 EXAMPLES = {
     "discovery": "discovery: homeassistant",
     "host": "host: broker.local",
@@ -56,7 +56,7 @@ EXAMPLES = {
     "rosbridge": "rosbridge: {url: 'ws://robot:9090'}",
 }
 
-# Parts of PyYAML's messages, and what is wrong in each case.
+# Parts of PyYAML's messages, and touchd's own for them.
 INDENTED = "indent this line as far as the other settings of its section"
 YAML_PROBLEMS = {
     "'\\t'": "indent with spaces, not with tabs",
@@ -70,7 +70,7 @@ YAML_PROBLEMS = {
     "found unexpected end of stream": "a quote is opened above and not closed",
 }
 NO_VALUE = "has no value; write null for none, {} for the defaults; a list is [a, b], a fraction 0.5"
-# Not spaces to YAML: a no-break space is part of a name or a value.
+# They look like spaces, but YAML reads them as part of a name or value.
 INVISIBLE = re.compile("[\u00a0\u2002-\u200b\u202f\u2060\ufeff]")
 
 
@@ -127,7 +127,7 @@ def convert(file: Path, text: bytes, struct: type[T]) -> T:
 
 
 def explain_yaml(error: yaml.MarkedYAMLError, text: bytes) -> str:
-    """Say where a text is not YAML and why, in words for somebody who does not know YAML."""
+    """Return where a text is not YAML and why, for somebody who does not know YAML."""
     mark = error.problem_mark or error.context_mark
     where = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
     problem = str(error.problem)
@@ -136,7 +136,7 @@ def explain_yaml(error: yaml.MarkedYAMLError, text: bytes) -> str:
 
 
 def _invisible(text: bytes) -> str:
-    """Point out a character that looks like a space but is none, as pages and mails have."""
+    """Point out a character that looks like a space but is not one, as pages and mails contain."""
     lines = text.decode(errors="replace").removeprefix("\ufeff").splitlines()
     for number, line in enumerate(lines, 1):
         if found := INVISIBLE.search(line.partition("#")[0]):
@@ -175,14 +175,14 @@ def _wrong_kind(expected: str, got: str, example: str | None) -> str:
 
 
 def _out_of_range(comparison: str, limit: str, name: str, value: object) -> str:
-    """Say which number is not in range, and in which unit."""
+    """Return which number is out of range, with its unit."""
     given = f"{value} " if isinstance(value, int | float) else ""
     unit = next((f" ({unit})" for end, unit in UNITS.items() if name.endswith(end)), "")
     return f"{given}must be {LIMITS[comparison]} {limit.removesuffix('.0')}{unit}"
 
 
 def _value_at(raw: object, path: str) -> object:
-    """Return what stands at a path; None if the path leaves out a key, as msgspec does for mappings."""
+    """Return the value at a path; None if the path lacks a key, as msgspec's does for mappings."""
     for name, index in re.findall(r"([^.\[\]]+)|\[([^]]*)\]", path):
         if isinstance(raw, dict):
             raw = raw.get(name)

@@ -1,4 +1,4 @@
-"""What systemd is told if it started the daemon (sd_notify): ready, the watchdog after work, a status."""
+"""Notifies systemd (sd_notify): the daemon is ready, it works (the watchdog), its status, it ends."""
 
 import math
 import os
@@ -12,15 +12,15 @@ from touchd.daemon.sinks.sink import EventFanout
 
 STATUS_EVERY_S = 5.0
 FEEDS_PER_WATCHDOG = 4
-# Without frames for this long, a pad's reader has died: it would have reported earlier that the pad is away.
+# A pad's reader that reports nothing for this long has died: it would have reported a missing pad earlier.
 SILENT_S = 4.0
 
 
 class Health:
-    """Tells systemd when the daemon is ready, how it is, and that it ends; does nothing without a manager.
+    """Notifies systemd; does nothing if systemd did not start the daemon.
 
-    Feeds the watchdog while each pad either delivers frames that are processed or is known to be away: when a
-    reader dies or the loop hangs, systemd restarts the daemon.
+    Feeds the watchdog while each pad either delivers frames that are processed or is known to be away. So
+    systemd restarts the daemon when a reader dies or the loop hangs.
     environ: NOTIFY_SOCKET, WATCHDOG_USEC and WATCHDOG_PID as systemd sets them (sd_notify(3),
     sd_watchdog_enabled(3)).
     """
@@ -45,8 +45,8 @@ class Health:
     def close(self) -> None:
         self._socket.close()
 
-    def look(self, *, is_ending: bool = False) -> bool:
-        """Look at the pads, and report; the daemon is ready once one's state is known. Returns is_ending."""
+    def update(self, *, is_ending: bool = False) -> bool:
+        """Check the pads and report; the daemon is ready once a pad's state is known. Returns is_ending."""
         if is_ending:
             self._send(STOPPING=1)
             return True
@@ -76,7 +76,7 @@ class Health:
         self._status_s, self._reported = now_s, frames
 
     def _send(self, **fields: str | int) -> None:
-        """Send fields such as READY=1; a manager that does not take them is ignored."""
+        """Send fields such as READY=1; ignore a manager that does not receive them."""
         if self._address:
             message = "\n".join(f"{name}={value}" for name, value in fields.items())
             with suppress(OSError):

@@ -38,7 +38,7 @@ DESCRIPTION = (
 class Signals:
     """Records SIGINT and SIGTERM in a plain attribute: a handler that takes a lock can deadlock with itself.
 
-    SIGHUP ends the daemon too when its terminal has closed; otherwise it is ignored.
+    SIGHUP also ends a daemon that has a terminal; otherwise it is ignored.
     """
 
     def __init__(self) -> None:
@@ -108,21 +108,21 @@ def main(options: argparse.Namespace) -> int:
             form = _in_words(settings) if in_words else encode
             service.add_sink(LinesSink("stdout", sys.stdout.fileno(), form, signals.stop))
             if in_words and page and live and live.host in EVERY_ADDRESS:
-                # Phones reach it.
+                # Phones can reach the page.
                 sys.stderr.write(qr_code(page))
-        # It stays: what threads log while the program ends must not go past it to standard error.
+        # Never removed: threads may log while the program ends, which must not bypass it to standard error.
         logging.getLogger().addHandler(handler)
         log.info("%s; journal: %s", found, settings.journal.file if settings.journal else "none")
         favour_latency()
         health = Health(os.environ, service.pads, service.events)
         closing.callback(health.close)
-        service.run(lambda: health.look(is_ending=signals.must_stop))
+        service.run(lambda: health.update(is_ending=signals.must_stop))
     return 0
 
 
 def _show_in_terminal(service: Service, settings: Settings, page: str, closing: ExitStack) -> logging.Handler:
     """Show the first pad in the whole terminal; return the log's handler. page: its address."""
-    # It brings rich, which no service needs.
+    # It imports rich, which a service does not need.
     from touchd.daemon.view.view import View
 
     first, *_ = settings.pads.values()
@@ -132,7 +132,7 @@ def _show_in_terminal(service: Service, settings: Settings, page: str, closing: 
     service.watchers.append(view)
     view.labeller = service.parts.labeller
     closing.enter_context(listening(view.on_key))
-    # On standard error they would corrupt the picture.
+    # Log lines on standard error would corrupt the picture.
     return LogHandler(lambda record: view.note(record.getMessage(), record.levelno >= logging.WARNING))
 
 
@@ -171,6 +171,6 @@ def _in_words(settings: Settings) -> Callable[[Event], bytes]:
 def favour_latency() -> None:
     """Keep Python's garbage collector from delaying an answer."""
     sys.setswitchinterval(SWITCH_S)
-    # Objects loaded at start-up stay: do not scan them for garbage, which takes as long as an answer may.
+    # Never scan the objects loaded at start-up for garbage: a scan takes as long as an answer.
     gc.collect()
     gc.freeze()

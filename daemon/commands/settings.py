@@ -24,7 +24,7 @@ class Found(NamedTuple):
     closed: Path | None = None
 
     def __str__(self) -> str:
-        """Say which settings these are."""
+        """Return which settings these are, in words."""
         if self.file is not None:
             return f"settings: {self.file.absolute()}"
         closed = f"; {self.closed} can be read only with sudo" if self.closed else ""
@@ -67,7 +67,7 @@ def add_settings(parser: argparse.ArgumentParser, what: str = "settings", port: 
 def settings_of(options: argparse.Namespace) -> Found:
     """Return the settings of the pad that the arguments name, as `sensor`; raises ConfigError.
 
-    Says on standard error which file was found if the arguments name none.
+    Writes the file that was found to standard error if the arguments name none.
     """
     found = find_settings(options.config)
     if options.config is None and (found.file or found.closed):

@@ -62,7 +62,7 @@ class Watched:
         """Process frames of the pad, one a turn."""
         for _ in range(frames):
             self.pad.frames, self.pad.is_up = self.pad.frames + 1, True
-            self.health.look()
+            self.health.update()
 
 
 @pytest.fixture
@@ -77,7 +77,7 @@ def watched(manager: Manager) -> Iterator[Watched]:
 def stopping(environ: dict[str, str]) -> float:
     """Tell a manager that the daemon stops; return how often it has to be fed, in seconds."""
     with closing(Health(environ, (), EventFanout())) as health:
-        assert health.look(is_ending=True)
+        assert health.update(is_ending=True)
         return health.watchdog_s
 
 
@@ -101,18 +101,18 @@ def test_a_watchdog_for_another_process_is_ignored() -> None:
 
 
 def test_ready_is_sent_once_the_pads_state_is_known(manager: Manager, watched: Watched) -> None:
-    watched.health.look()
+    watched.health.update()
     assert manager.received() == []
     watched.pad.is_up = False
-    watched.health.look()
+    watched.health.update()
     watched.pad.is_up = True
-    watched.health.look()
+    watched.health.update()
     assert manager.received().count("READY=1") == 1
 
 
 def test_the_watchdog_is_fed_while_the_pad_is_away(manager: Manager, watched: Watched) -> None:
     watched.pad.is_up = False
-    watched.health.look()
+    watched.health.update()
     assert "WATCHDOG=1" in manager.received()
 
 
@@ -122,11 +122,11 @@ def test_the_watchdog_starves_when_one_present_pad_is_silent(
 ) -> None:
     now_s = time.monotonic()
     watched.pad.is_up, watched.arm.is_up = True, False
-    watched.health.look()
+    watched.health.update()
     manager.received()
     monkeypatch.setattr(time, "monotonic", lambda: now_s + 2000)
     watched.pad.frames += silent == "nobody"
-    watched.health.look()
+    watched.health.update()
     assert [line for line in manager.received() if "WATCHDOG" in line] == fed
 
 
@@ -153,7 +153,7 @@ def test_each_status_counts_from_the_one_before(
     for passed_s, frames in ((10, 540), (10, 270), (10, 0)):
         watched.pad.frames += frames
         now_s[0] += passed_s
-        watched.health.look()
+        watched.health.update()
     ends = " frames/s, arm away, 0 touches, 7 frames dropped"
     statuses = [line for line in manager.received() if line.startswith("STATUS=")]
     assert statuses == [f"STATUS={rate}{ends}" for rate in ("54.1", "27.0", "0.0")]
