@@ -40,15 +40,15 @@ def parse_address(text: str, configured: LiveSettings | None) -> LiveSettings:
 
 
 def listen(settings: LiveSettings) -> socket.socket:
-    """Return a socket that listens where these settings say; raises LiveError.
+    """Return a socket that listens at the configured address; raises LiveError.
 
-    A name of another computer is one by which others know this one, as that of a container's computer: then
-    it listens at every address.
+    If the host is the name of another computer, it listens at every address: others may know this computer by
+    that name, as with a container.
     """
     host, port = settings.host, settings.port
     try:
         found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-        # A name may have an IPv6 address alone, as localhost on some computers.
+        # A name may have only an IPv6 address, as localhost on some computers.
         family, *_, address = min(found, key=lambda entry: entry[0] != socket.AF_INET)
         takes_both = host == "::" and socket.has_dualstack_ipv6()
         listening = socket.create_server(address[:2], family=family, dualstack_ipv6=takes_both)
@@ -58,7 +58,7 @@ def listen(settings: LiveSettings) -> socket.socket:
             raise _cannot_listen(host, port, error) from error
         log.warning("live page: %s is no name of this computer; serving at all of its addresses", host)
         return listen(msgspec.structs.replace(settings, host="0.0.0.0"))
-    # Inherited by every connection.
+    # Every connection inherits it.
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
     return listening
 
@@ -107,23 +107,23 @@ def own_names(settings: LiveSettings) -> frozenset[str]:
 
 
 def is_own_host(host: str, names: frozenset[str]) -> bool:
-    """Whether a Host header names this computer by one of `names` or by a number.
+    """Whether a Host header names this computer by one of `names` or by an IP address.
 
-    Another site can point its own name at us (DNS rebinding), but then the Host header carries that name,
-    never a number. Any port is accepted, since it differs at the other end of a tunnel.
+    Another site can point its own name at us (DNS rebinding), but then the Host header contains that name,
+    never an IP address. Any port is accepted, since it differs at the other end of a tunnel.
     """
     name = name_in(host)
     return name in names or ip_of(name) is not None
 
 
 def name_in(host: str) -> str:
-    """Return the name or number in a Host header, NAME[:PORT], in lower case; "" if it holds none."""
+    """Return the name or IP address in a Host header, NAME[:PORT], in lower case; "" if it has none."""
     match = re.fullmatch(r"(\[[^\]]*\]|[^:]*)(:\d{1,5})?", host)
     return match[1].strip("[]").lower() if match else ""
 
 
 def ip_of(name: str) -> IPv4Address | IPv6Address | None:
-    """Return a number as an IP address, None for a name."""
+    """Return the IP address that a text is, None for a name."""
     try:
         return ip_address(name)
     except ValueError:

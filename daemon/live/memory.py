@@ -12,7 +12,7 @@ from touchd.daemon.sinks.touches import TOUCHES, Latest
 from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH, Frame
 from touchd.model.classifier import Classifier
 
-# Two seconds: a touch is detected within one, so the first of them is the pad's rest.
+# Two seconds: a touch is detected within one, so the first second shows the pad's rest.
 RECENT_FRAMES = 108
 
 
@@ -50,7 +50,7 @@ class Memory(Latest):
         return round((len(recent) - 1) / span_s, 1) if span_s > 0.0 else 0.0
 
     def state(self) -> dict[str, object]:
-        """Return what a page gets of this pad when it connects or has fallen far behind."""
+        """Return what a page receives about this pad when it connects or has fallen far behind."""
         settings, model = self._settings, self._model
         scene, labels = settings.scene, model.labels if model else ()
         words = words_of(settings)
@@ -63,7 +63,7 @@ class Memory(Latest):
             "speak_above": scene.speak_above,
             "revise_margin": REVISE_MARGIN,
             "names": {label: name_of(words, label) for label in (*labels, UNCERTAIN)},
-            # The words for each gesture when nothing is sure.
+            # How the page words each gesture while the answer is unsure.
             "guesses": {label: _guess(words, label) for label in set(labels) - {NO_TOUCH}},
             "robot_configured": settings.robot is not None,
             "action": self.action,
@@ -81,7 +81,7 @@ class Memory(Latest):
 
 
 def _guess(words: Vocabulary, gesture: str) -> str:
-    """Return the words for an unsure gesture; only touchd's own English goes into an English sentence."""
+    """Return the words for an unsure gesture; only touchd's own English phrases fit an English sentence."""
     name = name_of(words, gesture)
     shipped_name, phrase = SHIPPED["en"].get(gesture, ("", ""))
     return f"{phrase[0].upper()}{phrase[1:]}, perhaps?" if name == shipped_name else f"{name}?"

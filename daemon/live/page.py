@@ -38,9 +38,9 @@ HEADERS = {
 
 
 class Page:
-    """The files, read once. names: accepted host names.
+    """Serves the page's files, read once. names: accepted host names.
 
-    stamp: changes with the files, so that a page notices that it is outdated.
+    stamp: changes with the files, so that an open page notices that it is outdated.
     """
 
     def __init__(self, names: frozenset[str]) -> None:

@@ -46,9 +46,8 @@ TakeMessage: TypeAlias = Callable[[ServerConnection, str | bytes], str]
 class LiveServer:
     """A sink that serves the page; taking events and frames never blocks. Raises LiveError.
 
-    models: of each pad, None if nothing is recognised. touching: takes what viewers press on a simulated pad.
-    labeller: takes what viewers on this computer say that a touch was. Without either, viewers can send
-    nothing.
+    models: of each pad, None if nothing is recognised. touching: takes viewers' presses on a simulated pad.
+    labeller: takes the labels of viewers on this computer. Without either, viewers can send nothing.
     """
 
     def __init__(
@@ -148,7 +147,7 @@ class LiveServer:
             connection.transport.abort()
         left = asyncio.all_tasks() - {asyncio.current_task()}
         await asyncio.wait(left, timeout=GOODBYE_S)
-        # What is left when the loop closes would be reported as a fault of Python's.
+        # asyncio would report tasks that are left when the loop closes as a fault.
         for task in left:
             task.cancel()
         await asyncio.wait(left, timeout=GOODBYE_S)
@@ -185,7 +184,7 @@ class LiveServer:
         self._is_woken = False
         items = self._items.take_all()
         for item in items:
-            # A thread still at work when Python exits would crash the process.
+            # A thread that still runs when Python exits would crash the process.
             if self._is_stopping:
                 return
             try:

@@ -1,4 +1,4 @@
-"""A page of a simulated pad that its viewers touch: of `touchd demo` and `touchd fake-pad` alone."""
+"""The page of `touchd demo` and `touchd fake-pad`, on which viewers touch a simulated pad."""
 
 import json
 import math
@@ -42,7 +42,7 @@ class _Spot(NamedTuple):
 
 
 class _Touch(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Everything that presses on one page now."""
+    """All pointers that press on one page now."""
 
     size: Size
     at: Annotated[list[_Spot], msgspec.Meta(max_length=MOST_POINTERS)]
@@ -51,7 +51,7 @@ class _Touch(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Touching:
     """The pointers of all viewers, from messages that are bounded in size and values. Thread-safe.
 
-    near_s: when one was last at the pad, pressing or about to.
+    near_s: when a pointer was last at the pad, pressing or about to.
     """
 
     def __init__(self) -> None:

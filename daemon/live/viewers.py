@@ -1,4 +1,4 @@
-"""The viewers of the live page: limits of what they share with the daemon, and who may label touches."""
+"""The viewers of the live page: limits on their connections, and who may label touches."""
 
 import asyncio
 from collections.abc import Mapping
@@ -17,20 +17,20 @@ from touchd.daemon.sinks.labels import Labeller
 # Connections of any kind, including those for files and idle ones.
 MOST_CONNECTIONS = 64
 MOST_VIEWERS = 16
-# Backlog from which on a viewer gets no frames, besides the kernel's buffer: about half a second of them.
-MOST_WAITING_FRAMES = 4096
-# Backlog at which a viewer is disconnected; its page connects again and gets the state. Sixteen pads' states
-# have some 800 kB.
+# Backlog, besides the kernel's buffer, above which a viewer gets no frames: about half a second.
+FRAME_BACKLOG_BYTES = 4096
+# Backlog above which a viewer is disconnected; its page reconnects and gets the state, which has some 800 kB
+# for sixteen pads.
 MOST_WAITING_BYTES = 1_000_000
-# A web server in front of the page hides where a viewer is; it adds one of these.
+# A web server in front of the page hides a viewer's address, and adds one of these headers.
 FORWARDED = ("Forwarded", "X-Forwarded-For", "X-Real-IP", "Via")
 
 
 class Connection(ServerConnection):
     """A connection that is closed if there are too many, and if it sends but does not read.
 
-    Of too many, the one that has waited longest without finishing its request is closed, so that half-open
-    connections cannot lock others out; if there is none, the new one. together: all, in order of arrival.
+    Of too many, the oldest half-open one is closed, so that these cannot lock others out; without any, the
+    new one. together: all connections, in order of arrival.
     """
 
     def __init__(self, together: dict["Connection", None], *arguments: Any, **named: Any) -> None:
@@ -71,15 +71,15 @@ class Viewers(set[ServerConnection]):
 
     def show(self, message: str | bytes) -> None:
         """Send a message that a slow viewer may miss."""
-        broadcast((one for one in self if _waiting_bytes(one) <= MOST_WAITING_FRAMES), message)
+        broadcast((one for one in self if _waiting_bytes(one) <= FRAME_BACKLOG_BYTES), message)
 
 
 def _waiting_bytes(viewer: ServerConnection) -> int:
     return viewer.transport.get_write_buffer_size()
 
 
-class _Said(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a touch was."""
+class _Label(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A viewer's message: what a touch was."""
 
     pad: Annotated[str, msgspec.Meta(max_length=100)]
     touch: Count
@@ -93,20 +93,20 @@ def take_label(
     if not is_here(viewer):
         return "only this computer may say what a touch was"
     try:
-        said = msgspec.json.decode(message, type=_Said)
+        label = msgspec.json.decode(message, type=_Label)
     except (msgspec.DecodeError, UnicodeDecodeError):
         return "not a label"
-    touch = pads[said.pad].find(said.touch) if said.pad in pads else None
+    touch = pads[label.pad].find(label.touch) if label.pad in pads else None
     if touch is None:
         return "no such touch"
-    if said.gesture not in labeller.gestures[said.pad]:
+    if label.gesture not in labeller.gestures[label.pad]:
         return "no such gesture"
-    labeller.label(touch, said.gesture)
+    labeller.label(touch, label.gesture)
     return ""
 
 
 def is_here(viewer: ServerConnection) -> bool:
-    """Whether a viewer is on this computer, and asked for the page by a name of this computer alone."""
+    """Whether a viewer is on this computer, and asked for the page by a loopback name or address."""
     headers = viewer.request.headers if viewer.request else {}
     name = name_in(headers.get("Host", ""))
     is_forwarded = any(each in headers for each in FORWARDED)

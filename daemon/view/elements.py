@@ -36,7 +36,7 @@ COLOURS = [
     blend_rgb(HEAT[int(at)], HEAT[min(int(at) + 1, len(HEAT) - 1)], at % 1).hex
     for at in (np.arange(SHADES) / (SHADES - 1) * (len(HEAT) - 1)).tolist()
 ]
-# Without colours.
+# For terminals without colours, from no pressure to firm.
 CHARACTERS = " ·:-=+*#%@"
 # The pixels of letters, row by row; a dot is empty.
 FONT = {
@@ -64,7 +64,7 @@ LETTERS = {
 BLOCKS = {"..": " ", "#.": "▀", ".#": "▄", "##": "█"}
 EIGHTHS = " ▏▎▍▌▋▊▉█"
 PERCENT_WIDTH = 6
-# Of the time line: its length, at least and after the last mark.
+# Length of the time line: at least, and in multiples of the last mark.
 SHORTEST_S, AFTER_FINAL = 4.0, 1.5
 # Sum of counts at full height, unless the touch is firmer.
 LIGHT_LOAD = 600.0
@@ -118,7 +118,7 @@ def big(word: str, width: int) -> list[str]:
 def bars(
     names: Mapping[str, str], shares: Mapping[str, float], stands: str, size: tuple[int, int]
 ) -> list[Text]:
-    """Return one bar for each gesture, only the likeliest where (width, height) has no room for all.
+    """Return one bar for each gesture, or for the likeliest if (width, height) has no room for all.
 
     names: display names, in order. shares: probabilities, empty for empty bars. stands: the answer now.
     """
@@ -176,7 +176,7 @@ def time_line(
     reached_s = trace[-1][0] if trace else 0.0
     marks = [(column(mark_s), reached_s >= mark_s) for mark_s in marks_s]
     lines = [_with_marks(steps, marks) for steps in _steps(loads, height - 1)]
-    # Each flag a row below the one before; after the lowest row comes the highest.
+    # Put each flag a row below the one before, and after the lowest row begin at the top.
     for number, flag in enumerate(flags):
         row = number % len(lines)
         lines[row] = _with_flag(lines[row], flag, column(flag.at_s))
@@ -213,7 +213,7 @@ def _with_flag(line: Text, flag: Flag, column: int) -> Text:
 
 def _labels(marks_s: Sequence[float], column: Callable[[float], int], width: int) -> str:
     line = " " * width
-    # The last label first: where there is room for one alone, it names the end.
+    # The last label first: it must be shown even if there is no room for others.
     for mark_s in (marks_s[-1], *marks_s[:-1]):
         text = f" {mark_s:.3g} s "
         start = min(max(column(mark_s) - len(text) // 2, 0), width - len(text))

@@ -24,7 +24,7 @@ class Stopped(Exception):  # noqa: N818 - says what happened; it is handled, nev
 
 
 def text_width() -> int:
-    """Return the number of characters in a line: as wide as the terminal, and easy to read."""
+    """Return the number of characters in a line: the terminal's, but at most MOST_WIDTH."""
     return min(MOST_WIDTH, get_terminal_size().columns)
 
 
@@ -55,10 +55,9 @@ def ask_line(console: "Console", question: str) -> str:
 
 @contextmanager
 def listening(on_key: Callable[[str], None]) -> Iterator[None]:
-    """Call `on_key` from a thread of its own for each key, without an echo, and restore the terminal.
+    """Call `on_key` for each key, from another thread and without an echo; restore the terminal at the end.
 
-    Without a terminal, or in the background, where changing the terminal would stop the program, it does
-    nothing.
+    Does nothing without a terminal, or in the background, where changing the terminal would stop the program.
     """
     if not sys.stdin.isatty() or _is_in_background(sys.stdin.fileno()):
         yield
@@ -74,7 +73,7 @@ def listening(on_key: Callable[[str], None]) -> Iterator[None]:
         yield
     finally:
         ended.set()
-        # Otherwise it could take a key that is meant for the next question.
+        # The thread must not take a key that is meant for the next question.
         reader.join()
         with suppress(termios.error, OSError):
             termios.tcsetattr(fd, termios.TCSADRAIN, before)

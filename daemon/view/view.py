@@ -68,7 +68,7 @@ class View:
     """A sink that draws events, frames and notes. Thread-safe.
 
     Shows the first pad. console: standard output by default. card: lines to show if there is room.
-    labeller: takes what a person says, by a key, that the touch on the screen was; None if nobody can.
+    labeller: takes labels of the shown touch, given by keys; None if there are no labels.
     """
 
     def __init__(
@@ -160,7 +160,7 @@ class View:
             self._live.stop()
 
     def __enter__(self) -> "View":
-        # Ctrl-Z would leave the shell on this screen, without a cursor, and the daemon silent behind it.
+        # Ctrl-Z would stop the daemon and leave the shell on this screen without a cursor.
         self._on_ctrl_z = signal.signal(signal.SIGTSTP, signal.SIG_IGN)
         self._live.start()
         return self
@@ -299,7 +299,7 @@ class View:
         return Text.assemble((" Robot ", MUTED), (words, ROBOT + BOLD))
 
     def _keys_lines(self, width: int) -> list[Text]:
-        """Return which key says what the touch on the screen was; blank lines while there is no touch."""
+        """Return the key of each label for the shown touch; blank lines without a touch."""
         if self.labeller is None:
             return []
         lines, touch = [Text(" It was: ", MUTED)], self._touch
@@ -307,7 +307,7 @@ class View:
         for key, gesture in keys_of(self.labeller.gestures[self._shown_pad]).items():
             style = ACCENT if gesture == label else INK
             entry = Text.assemble((key, style + BOLD), (f" {self._name(gesture)}  ", style))
-            # A line ends with two blanks that may be cut off.
+            # The two blanks at the end of a line may be cropped.
             if lines[-1].cell_len + entry.cell_len > width + 2:
                 lines.append(Text(" "))
             lines[-1].append_text(entry)
