@@ -1,7 +1,7 @@
 """The base class of touchd's errors: one printable line that says what is wrong and what to do.
 
-Every error that a user sees is a TouchdError; the command shows its message and exits with code 2. Other
-errors are handled where they arise and never shown, or internal: exit code 1.
+Every error that a user can correct is a TouchdError; the command shows its message and exits with code 2.
+Other errors are handled where they arise, or internal: exit code 1.
 """
 
 import argparse
@@ -67,7 +67,7 @@ class PathError(TouchdError):
 
 
 def written_out(path: str) -> Path:
-    """Expand ~ and ~name at the beginning of a path; raises PathError if that home does not exist."""
+    """Expand ~ and ~name at the beginning of a path; raises PathError if there is no such home."""
     try:
         return Path(path).expanduser()
     except RuntimeError as error:

@@ -1,7 +1,7 @@
-"""Connects to hosts by name, for the robot, MQTT, rosbridge and pads; knows this computer's own addresses.
+"""Connects to hosts by name, for the robot, MQTT, rosbridge and pads; returns this computer's addresses.
 
-A name is looked up outside the time limit of the connection, and its addresses are kept while they work:
-nao.local may take seconds to resolve, if nobody answers the question for its IPv6 address.
+The lookup of a name does not count for the time limit of the connection, and its addresses are cached while
+they work: nao.local may take seconds to resolve if nobody answers the query for its IPv6 address.
 """
 
 import errno
@@ -23,7 +23,7 @@ from touchd.drivers.errors import reason
 
 log = logging.getLogger(__name__)
 
-# For the caller; the lookup itself goes on, and the next attempt waits for it again.
+# How long a caller waits for a lookup; the lookup continues, and the next attempt waits for it again.
 LOOKUP_S = 20.0
 SLOW_S = 1.0
 # Time for one address to answer before the next is tried beside it (RFC 8305).
@@ -35,8 +35,8 @@ MOST_ADDRESSES = 8
 # ioctl(2), netdevice(7): the address of an interface.
 SIOCGIFADDR = 0x8915
 
-# Of a connection. The last four notice after 10 s that a network drops everything or a peer reads nothing,
-# both while nothing is sent and while bytes wait; those must not arrive much later.
+# Socket options. The last four detect within 10 s that a network drops everything or a peer reads nothing, on
+# an idle connection as well as with unsent bytes, which must not arrive much later.
 OPTIONS = (
     (socket.IPPROTO_TCP, socket.TCP_NODELAY, 1),
     (socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1),
@@ -130,7 +130,7 @@ class Name:
         return [(family, (where[0], port, *where[2:])) for family, where in found]
 
     def look_up(self) -> threading.Thread:
-        """Start to look the name up, if this is not going on; until it ends, the known addresses are used."""
+        """Start a lookup, unless one is running; until it ends, the known addresses are used."""
         with self._lock:
             if self._lookup is None or not self._lookup.is_alive():
                 self._lookup = threading.Thread(target=self._look_up, name="touchd-lookup", daemon=True)
@@ -140,7 +140,7 @@ class Name:
     def _look_up(self) -> None:
         started_s = time.monotonic()
         try:
-            # As bytes: a text would first go through a codec that takes 0.7 MB.
+            # Bytes: for a text, Python loads a codec of 0.7 MB.
             host = self._host.encode() if self._host.isascii() else self._host
             answers = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
         except (OSError, ValueError) as error:

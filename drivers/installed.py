@@ -23,12 +23,12 @@ EXTRAS = {
     "train": ("torch", "onnx", "scipy", "tqdm"),
     "studies": ("onnxscript", "sklearn", "mlxtend"),
 }
-# The build of torch for processors alone. It is the only index for torch: if it were one of two and out of
-# reach, pip would take the build on PyPI, with gigabytes of CUDA.
+# The index of torch's build without CUDA. It is the only index for torch: if it were one of two and could not
+# be reached, pip would install the build on PyPI, with gigabytes of CUDA.
 TORCH_ON_CPU = "https://download.pytorch.org/whl/cpu"
-# On the disk, where it is worth knowing before the installation begins.
+# Sizes on the disk that are worth knowing before the installation.
 SIZES = {"train": "about 1 GB"}
-# Extras with wheels for x86_64 and Python below a version alone, and what does without them.
+# Extras that only have wheels for x86_64 and Python below a version, and the alternative without them.
 X86_ALONE = {"ros2": ((3, 14), "use rosbridge"), "nao": ((3, 13), "leave robot.client out")}
 
 
@@ -59,7 +59,7 @@ def how_to_install(extra: str) -> str:
 
 def _requirements(extra: str) -> Sequence[str]:
     """Return what an extra of touchd needs, as for pip."""
-    # It loads a parser of mail, 1.2 MB.
+    # It imports an e-mail parser of 1.2 MB.
     from importlib import metadata
 
     wanted = [

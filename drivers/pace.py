@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from touchd.drivers.frame import CLOCK_MODULUS, Frame
 from touchd.drivers.pad.grid import LOST_STEP
 
-# A shorter stretch is too short to compare two clocks.
+# In less time, two clocks cannot be compared.
 COMPARABLE_S = 1.5
 
 
@@ -17,7 +17,7 @@ COMPARABLE_S = 1.5
 class Pace:
     """Frames a second, the standard deviation of the steps between them, and lost frames.
 
-    Steps in which a frame was lost count for neither rate nor jitter.
+    Steps with a lost frame count for neither rate nor jitter.
     """
 
     rate_hz: float
@@ -57,6 +57,6 @@ def clock_by_ours(frames: Sequence[Frame]) -> float:
     since_s = np.array([frame.host_s - frames[0].host_s for frame in frames])
     if since_s[-1] < COMPARABLE_S:
         return 1.0
-    # A fit through all frames, so that one late frame does not matter.
+    # Fit a line to all frames, so that one late frame does not matter.
     slope, _ = np.polyfit(since_s, clock_ms(frames) / 1000, 1)
     return float(slope)

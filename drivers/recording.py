@@ -1,4 +1,4 @@
-"""Recordings of the pad in files: HAART's two CSV layouts and our own, read, written, realigned, spliced.
+"""Reads, writes, realigns and splices recordings of the pad: HAART's two CSV layouts and touchd's own.
 
 HAART's layouts (RTGC 2015): `ParticipantNo,Substrate,Cover,Gesture` and 64 cells, or
 `ParticipantID,Substrate,Cover,Gesture,Sequence` and 64 cells, with or without quotes and spaces.
@@ -36,7 +36,7 @@ SUFFIX = ".csv.gz"
 KEYS = ("participant", "substrate", "cover", "gesture")
 SEAM_ROWS = 2
 PERIOD_MS = round(1000.0 / FRAME_RATE_HZ)
-# Fewer steps do not show the usual one; a clock with longer steps does not count milliseconds.
+# With fewer steps, a clock is not checked; a clock with longer steps does not count milliseconds.
 LEAST_STEPS, SLOWEST_STEP_MS = 4, 1000
 UNLABELLED = "unlabelled"
 """Placeholder for the label, and for who touched what, of a recording that nobody has labelled yet."""
@@ -75,7 +75,7 @@ class Recording:
 class Span:
     """A labelled stretch of a stream: frames start <= i < stop show `gesture`.
 
-    is_added: it was put beside the recordings, to play them, and is in none of them.
+    is_added: whether it was added between recordings, to play them.
     """
 
     start: int
@@ -168,7 +168,7 @@ def realign(recording: Recording) -> Recording:
 
 
 def on_grid(recording: Recording) -> Recording:
-    """Return a recording's longest stretch without a gap, laid on the grid as a live stream would be.
+    """Return a recording's longest stretch without a gap, on the 54 Hz grid as in the daemon.
 
     Counts become float32, because interpolated frames lie between whole counts.
     """
@@ -210,7 +210,7 @@ def splice(recordings: Sequence[Recording]) -> Stream:
 
 
 class _Header(NamedTuple):
-    """A header's own line number, its columns, whether a clock is among them, and what separates them."""
+    """A header: its line number, the number of columns, whether one is a clock, and the separator."""
 
     line_number: int
     width: int
@@ -228,7 +228,7 @@ def _lines_of(path: Path) -> Iterator[Iterator[str]]:
     try:
         with open(path, "rb", opener=without_waiting) as file:
             unpacked = cast(io.BufferedReader, gzip.GzipFile(fileobj=file) if path.suffix == ".gz" else file)
-            # Spreadsheets mark UTF-8 by three bytes at the beginning.
+            # utf-8-sig: spreadsheets begin a file with a byte order mark.
             yield _lines(path, io.TextIOWrapper(unpacked, encoding="utf-8-sig", newline=""))
     except (OSError, EOFError, UnicodeDecodeError, zlib.error, csv.Error) as error:
         encoding = "no UTF-8 text; is it compressed, or saved in another encoding?"
@@ -296,12 +296,12 @@ def _keys_of(row: Sequence[str]) -> Keys:
 
 
 def _read_header(path: Path, lines: Iterator[str]) -> _Header:
-    """Read up to the header; the official test file has one column more than the training file."""
+    """Read up to the header; HAART's test file has one column more than its training file."""
     for number, line in enumerate(lines, 1):
-        # A spreadsheet puts a comment that holds a comma in quotes.
+        # Spreadsheets quote a comment that contains a comma.
         if line.lstrip('"').startswith("#"):
             continue
-        # A spreadsheet writes semicolons in a language with a decimal comma.
+        # Spreadsheets write semicolons in languages with a decimal comma.
         separator = next((mark for mark in ",;\t" if mark in line), ",")
         header = [name.strip().strip('"').strip().lower() for name in line.split(separator)]
         between = header[4:-CELLS]

@@ -12,7 +12,7 @@ from touchd.drivers.errors import TouchdError, reason, written_out
 PARTIAL = ".partial-"
 # For files about people: recordings, the journal, and what is derived from them.
 PRIVATE_MODE = 0o640
-# Characters: a larger file holds something else, which must not be sent.
+# In characters. A larger file is not a secret, and must not be sent.
 MOST_SECRET = 4096
 NO_LINKS = (errno.EPERM, errno.EACCES, errno.EOPNOTSUPP, errno.ENOSYS)
 
@@ -26,7 +26,7 @@ def whole_file(path: Path, *, replace: bool = True, mode: int = 0o644) -> Iterat
     """
     partial = path.with_name(f"{PARTIAL}{path.name}")
     try:
-        # A program that was killed while writing may have left one.
+        # A killed program may have left one.
         partial.unlink(missing_ok=True)
         yield partial
         partial.chmod(partial.stat().st_mode & mode)
@@ -84,7 +84,7 @@ def without_waiting(path: str, flags: int) -> int:
 def secret_in(file: str, setting: str, kind: type[TouchdError]) -> str:
     """Return the password or token in a file; raises `kind` with the setting that names the file."""
     try:
-        # An editor on Windows may put a mark before it.
+        # An editor on Windows may write a byte order mark.
         with open(written_out(file), encoding="utf-8-sig", opener=without_waiting) as opened:
             secret = opened.read(MOST_SECRET + 1).strip()
     except (OSError, UnicodeDecodeError) as error:

@@ -78,7 +78,7 @@ def _write_table(events: Sequence[Event], target: IO[bytes]) -> None:
     with io.TextIOWrapper(target, encoding="utf-8", newline="") as text:
         table = csv.DictWriter(text, columns, lineterminator="\n")
         table.writeheader()
-        # Build the rows again rather than keep them: for a journal of years they would take gigabytes.
+        # Build the rows twice instead of storing them: those of a journal of years would take gigabytes.
         table.writerows(map(_flat, events))
 
 

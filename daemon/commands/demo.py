@@ -43,7 +43,7 @@ if typing.TYPE_CHECKING:
 # The recording lasts 37 s; the demo ends within a minute even if something fails.
 LONGEST_S = 50.0
 SPEECH_S = 0.8
-# From touch to touch of the hand on the page.
+# Interval between the touches of the simulated hand on the page.
 EVERY_S = 5.6
 PACE = 1.0
 # Most touches kept for the summary at the end.
@@ -78,7 +78,7 @@ class PlainLines:
         with suppress(BrokenPipeError):
             self._write(text)
 
-    # Shows what the hand does next.
+    # Shows the next gesture of the hand.
     doing = note
 
     def put(self, event: Event) -> None:
@@ -190,7 +190,7 @@ def _begins(show: Show, gesture: str) -> None:
 
 
 def _showing(stream: Stream, show: Show) -> Callable[[Counts, int], bytes]:
-    """Return the pad's encoder, which also shows the frames, and names each gesture as it begins."""
+    """Return the pad's encoder, which also shows each frame, and each gesture as it begins."""
     encode = encoder_for(SETTINGS.sensor)
     touches = (span for span in stream.spans if span.gesture != NO_TOUCH)
     begins = {int(stream.sensor_ms[span.start]): span.gesture for span in touches}

@@ -64,7 +64,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def main(options: argparse.Namespace) -> int:
-    """Write the file and say what next; returns 0 when pad and robot answered, else 1."""
+    """Write the file and print the next steps; returns 0 when pad and robot answered, else 1."""
     _check(options)
     console = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
     found = _find(console, options)
@@ -72,7 +72,7 @@ def main(options: argparse.Namespace) -> int:
         how = f"no configuration was written; how to describe a pad: {program_name()} docs pads"
         console.print(how, style="bold")
         return 1
-    # Without a pad, assume a fabric pad, whose rate is not the first of the usual rates.
+    # Without a pad, assume a fabric pad. Its baud rate is not the first of the usual ones.
     assumed = SensorSettings()
     port, baud, described = found or Found(options.port or assumed.port, options.baud or assumed.baud, None)
     name, why = lasting_name(port)
@@ -96,7 +96,7 @@ def main(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> None:
-    """Refuse what cannot work, before somebody presses the pad for nothing."""
+    """Refuse wrong options before somebody presses the pad for nothing."""
     if options.file.exists():
         raise ConfigError(f"{options.file} is there already; give another name, or move it away")
     if not os.access(options.file.absolute().parent, os.W_OK | os.X_OK):
@@ -165,7 +165,7 @@ def _find(console: Console, options: argparse.Namespace) -> Found | None:
 
 
 def _listen(console: Console, port: str, bauds: Sequence[int], grid: Grid | None) -> Found | None:
-    """Return the sender at a port, None if there is none; raises SensorError."""
+    """Return the pad or other sender at a port, None if nothing arrives; raises SensorError."""
     tried: list[int] = []
 
     def trying(baud: int) -> None:

@@ -102,7 +102,7 @@ def _record(console: Console, options: argparse.Namespace, settings: Settings) -
 
 
 def how_to_use(model: Path, config: Path | None, pad: str | None, *, is_better: bool) -> str:
-    """Return the line that sets a model in a configuration, and what to do before if it is the service's."""
+    """Return how to set a model in a configuration; the service's model must be copied first."""
     lines = [f"\nThe new model is {model}"]
     if config is not None and config.resolve().parent == SERVICE_FOLDER:
         # The service cannot read homes.

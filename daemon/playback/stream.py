@@ -1,4 +1,4 @@
-"""Turns recordings into a pad's stream (selects, realigns, puts notouch around touches), and plays it."""
+"""Turns recordings into a pad's stream (selects, realigns, adds notouch around touches), and plays it."""
 
 import argparse
 import time
@@ -82,7 +82,7 @@ def recording_files(paths: Sequence[Path]) -> list[Path]:
 
 
 def _there_are(files: Sequence[Path]) -> str:
-    """Say which participants, substrates, covers and gestures there are."""
+    """List the participants, substrates, covers and gestures of recordings, in words."""
     found = [recording for path in files for recording in read_recordings(path)]
     names = {key: sorted({getattr(recording, key) for recording in found}) for key in KEYS}
     return "; ".join(f"{key} is one of {', '.join(some)}" for key, some in names.items())
@@ -93,8 +93,8 @@ def play(
 ) -> None:
     """Send a whole stream through a pipeline at full speed. at: called with each frame's number first.
 
-    make: returns the pipeline, given the recording's clock. By the computer's clock, answers would be too old
-    on a computer that is slower than the recording.
+    make: returns the pipeline, given the recording's clock. With the computer's clock, answers would be too
+    old on a computer that is slower than the recording.
     """
     frame_s = since_s = 0.0
 
@@ -114,7 +114,7 @@ def with_quiet(recordings: Sequence[Recording], quiet: Sequence[Recording]) -> S
 
     Each participant and condition gets its own quiet before and after.
     quiet: notouch recordings to use, preferably of the same participant and condition, else of the same
-    participant, else any. Without any, the least reading of each taxel is used.
+    participant, else any. Without any, the lowest count of each taxel is used.
     """
     parts: list[tuple[Recording, bool]] = []
     for _, together in groupby(recordings, key=set_up):
@@ -139,7 +139,7 @@ def _quiet_for(recording: Recording, quiet: Sequence[Recording]) -> Recording:
     best = max(
         quiet, key=lambda one: (one.participant == recording.participant, set_up(one) == set_up(recording))
     )
-    # Keep participant and condition: with others, the clock would restart and rest include the hand.
+    # Keep participant and condition: otherwise the clock would restart, and rest be measured under a hand.
     quiet_ms = 1000 * QUIET_FRAMES / FRAME_RATE_HZ
     frames = int(np.searchsorted(best.sensor_ms, best.sensor_ms[0] + quiet_ms))
     counts, sensor_ms = best.counts[:frames], best.sensor_ms[:frames]

@@ -39,7 +39,7 @@ class PadLost(Exception):  # noqa: N818 - names what happened; the recording is 
 class Capture:
     """Recorded frames, and the share of them in which the pad was touched.
 
-    touch: first and last contact of a gesture made once, by the pad's clock; None if there was none.
+    touch: first and last contact of a gesture made once, by the pad's clock; None if none was detected.
     """
 
     frames: tuple[Frame, ...]
@@ -64,7 +64,7 @@ class Capture:
 class PadReader:
     """Reads the pad during a session. A context manager; entering raises SensorError.
 
-    model: which the daemon asks in doubt about a touch.
+    model: asked by the tracker in doubt, as in the daemon.
     """
 
     def __init__(self, settings: Settings, model: Classifier) -> None:
@@ -88,15 +88,15 @@ class PadReader:
         self._sensor.stop()
 
     def contact(self) -> "Contact":
-        """Return what finds touches in the frames that come from now on; drop those that wait."""
+        """Return what detects touches in the frames from now on; drop queued frames."""
         for item in self._queue.take_all():
             self._note(item)
         return Contact(self.settings.pipeline, self._model)
 
     def follow(self, seconds: float) -> Iterator[tuple[float, Frame]]:
-        """Yield (seconds since the first frame, frame) for a number of seconds on the pad's clock.
+        """Yield (seconds since the first frame, frame) for a number of seconds by the pad's clock.
 
-        Raises PadLost if no frame comes, or the pad goes away or restarts.
+        Raises PadLost if no frame arrives, or the pad goes away or restarts.
         """
         passed_ms = 0
         last: Frame | None = None
@@ -115,7 +115,7 @@ class PadReader:
                 raise PadLost(self._away or NO_FRAME)
 
     def _check_taxels(self, frame: Frame) -> None:
-        """Look for taxels that stand still, a second at a time."""
+        """Check for taxels that stand still, once a second."""
         self._block.append(frame)
         if len(self._block) > FRAME_RATE_HZ:
             self.taxels.update(self._block)

@@ -1,4 +1,4 @@
-"""Guides a person through a session: records each gesture, checks the recording, saves it."""
+"""Guides a person through a session: records each gesture, checks and saves the recording."""
 
 import math
 import time
@@ -27,7 +27,7 @@ from touchd.drivers.recording import RecordingError, write_recordings
 
 # Rest before each recording.
 COUNTDOWN_S = 2.0
-# Trim both ends, as HAART does: it keeps the middle eight of ten seconds.
+# Cut from both ends, as in HAART, which keeps the middle eight of ten seconds.
 EDGE_S = 1.0
 
 HOW = {
@@ -41,7 +41,7 @@ HOW = {
     OTHER: "touch the pad in every other way: poke, pinch, squeeze, twist, drum, knock",
 }
 
-# What a session records unless it is asked for OTHER, too.
+# The gestures of a session; OTHER is recorded on request.
 GESTURES = tuple(gesture for gesture in HOW if gesture != OTHER)
 HOW_ONCE = {"pat": "pat the pad once with a flat hand", "stroke": "stroke the pad once, one way"}
 
@@ -141,7 +141,7 @@ class Dialogue:
             # For people who look at their hand rather than the screen.
             self._console.bell()
             if take.is_single:
-                # Not a touch that was over before it was asked for.
+                # Ignore a touch that ended before it was asked for.
                 contact.touch = None
                 for _, frame in follow(self._name(take), SINGLE_WITHIN_S):
                     frames.append(frame)
@@ -161,7 +161,7 @@ class Dialogue:
         return capture
 
     def _step(self, take: Take) -> str:
-        """Return what to do now; a name of another language stands alone."""
+        """Return what to do now; a name in another language stands alone."""
         if take.gesture == NO_TOUCH:
             return HANDS_OFF
         return self._name(take) if self._session.names else f"{take.gesture} now"

@@ -1,7 +1,7 @@
 """A session: who touches what, and which recordings to make, in which order.
 
 Each recording is a file, FOLDER/participant_substrate_cover_gesture_number.csv.gz, in touchd's own layout;
-"once-number" for a gesture made once, whose file holds the rest before and after it, too.
+"once-number" for a gesture made once, whose file also holds the rest before and after it.
 Files are written atomically and never overwritten, so an interrupted session can be continued.
 """
 
@@ -32,7 +32,7 @@ class Setting(NamedTuple):
 
 
 def name(text: str) -> str:
-    """Check what names a participant, a substrate, a cover or a gesture; for argparse."""
+    """Check the name of a participant, a substrate, a cover or a gesture; for argparse."""
     if not NAME.fullmatch(text):
         raise argparse.ArgumentTypeError(f"invalid name {text!r}: {NAME_RULE}")
     return text
@@ -64,9 +64,9 @@ class Take:
 class Session:
     """The gestures of one setting, in rounds of random order.
 
-    The order depends on the setting alone. seconds: length that is saved of each. singles: gestures that each
-    round also asks for once. flowing: ask only about recordings with a complaint. names: what gestures are
-    called; by default as in the files.
+    The order depends only on the setting. seconds: saved length of each recording. singles: gestures that a
+    round also records once. flowing: ask only about recordings with a complaint. names: display names of
+    gestures; by default as in the files.
     """
 
     folder: Path

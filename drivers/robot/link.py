@@ -31,7 +31,11 @@ class Act(NamedTuple):
 
 @dataclass
 class _Pad:
-    """A pad's events: their prefix, its status, the one last sent, the one that another program wrote."""
+    """A pad's events on the robot.
+
+    prefix: of their names. status: the pad's. sent: the status last sent. foreign: the status that another
+    program wrote last. remove_at_s: when to remove the gesture.
+    """
 
     prefix: str
     status: str = "up"
@@ -43,8 +47,8 @@ class _Pad:
 class RobotLink(Worker):
     """Sends answers to a robot and has it act; raises RobotError with one line if the settings are wrong.
 
-    Raises PREFIX/Detail, then PREFIX/Gesture for each answer that is put, so that a program that wakes on the
-    Gesture finds its Detail; and PREFIX/Status when it changes. For a pad with a name PREFIX/NAME/Gesture, …
+    Raises PREFIX/Detail, then PREFIX/Gesture for each answer, so that a program that wakes on the Gesture
+    finds its Detail; and PREFIX/Status when it changes. For a pad with a name PREFIX/NAME/Gesture, …
     on_state: called from the link's thread when the robot comes ("up", "") or goes ("down", why).
     open_session: how to reach the robot, instead of the configured client.
     pads: the names of those whose answers are sent. acts: whether `act` will be called.
@@ -97,7 +101,7 @@ class RobotLink(Worker):
             worker.join(max(0.0, deadline_s - time.monotonic()))
 
     def note_state(self, state: LinkState, reason: str) -> None:
-        """Log that an attempt to reach the robot failed, or that it is there again; report a change."""
+        """Log that an attempt to reach the robot failed, or that the robot is back; report a change."""
         if self._stopping.is_set():
             return
         if state == "down":
@@ -116,11 +120,11 @@ class RobotLink(Worker):
             pass
 
     def tend(self, session: RobotSession) -> bool:
-        """Remove a gesture when its time is over, or send a status that has changed."""
+        """Remove a gesture whose time is over, or send a status that has changed."""
         for pad in self._pads.values():
             if time.monotonic() >= pad.remove_at_s:
                 pad.remove_at_s = math.inf
-                # Another program may have removed it, and a robot that has restarted has forgotten it.
+                # Another program, or a restart of the robot, may have removed it.
                 with suppress(RobotRefused):
                     self._memory(session, "removeData", f"{pad.prefix}/Gesture")
                 return True
@@ -131,7 +135,7 @@ class RobotLink(Worker):
         return False
 
     def ask(self, session: RobotSession) -> None:
-        """Look for a status that another touchd wrote; its "down" is replaced."""
+        """Read the status, as another touchd may have written it; replace its "down"."""
         for pad in self._pads.values():
             found = self._memory(session, "getData", f"{pad.prefix}/Status")
             if found != pad.sent:
@@ -156,7 +160,7 @@ class RobotLink(Worker):
 
 
 def _carry_out(acts: Sequence[Act], limit_s: float, session: RobotSession) -> None:
-    """Carry acts out, each to its end; refused ones are skipped, and raised as RobotRefused at the end."""
+    """Carry out acts in order; skip those that are refused, and raise RobotRefused for them at the end."""
     refused: list[str] = []
     for act in acts:
         act.on_begin()

@@ -14,7 +14,7 @@ SLICE_MS, CLOSE_MS = 50, 250
 
 def load_qi() -> Any:
     """Return the module qi, silenced; raises RobotError with one line when it cannot be loaded."""
-    # libqi reads this when it is loaded, so that it does not allocate whatever a message claims.
+    # libqi reads this limit when it is loaded; without it, it allocates whatever size a message claims.
     os.environ.setdefault("QI_MAX_MESSAGE_PAYLOAD", "2000000")
     try:
         qi = importlib.import_module("qi")
@@ -29,8 +29,8 @@ def load_qi() -> Any:
 class QiSession:
     """A RobotSession over qi.
 
-    Every operation is asynchronous and waited for with a limit: a synchronous one on a hung robot blocks for
-    ever. There are no callbacks and no subscriptions, with which libqi crashes at exit.
+    Every operation is asynchronous, and the wait for it is limited: a synchronous call of a hung robot blocks
+    for ever. It uses no callbacks and no subscriptions, with which libqi crashes at exit.
     """
 
     def __init__(self, settings: RobotSettings, limits: RobotLimits, stopping: threading.Event) -> None:
@@ -41,7 +41,7 @@ class QiSession:
 
     def connect(self) -> None:
         if login := self._settings.login():
-            # libqi calls both methods by these names, and takes an object of a class alone.
+            # libqi calls both methods by these names, and accepts only an instance of a class.
             methods = {"newAuthenticator": lambda each: each, "initialAuthData": lambda _: login}
             self._session.setClientAuthenticatorFactory(type("Authenticator", (), methods)())
         url = "{}://{}:{}".format(*self._settings.address)
@@ -58,7 +58,7 @@ class QiSession:
             answer = self._proxies[service].call(method, *arguments, _async=True)
             return self._value(answer, limit_s, f"{service}.{method}")
         except RobotRefused:
-            # The service may have ended; once it is back, only a new proxy reaches it.
+            # The service may have restarted; only a new proxy reaches it then.
             del self._proxies[service]
             raise
 

@@ -13,9 +13,9 @@ import msgspec
 from touchd.drivers.errors import MAX_LINE_BYTES, TouchdError, reason
 from touchd.drivers.whole_file import secret_in
 
-# On which NAOqi listens: up to 2.8, and 2.9.
+# NAOqi's ports, up to 2.8 and from 2.9 on.
 PORTS = {"tcp": 9559, "tcps": 9503}
-# Called while something waits; raises TimeoutError once that has taken too long.
+# To be called repeatedly during a wait; raises TimeoutError once it has taken too long.
 GoOn: TypeAlias = Callable[[], None]
 ADDRESS = re.compile(r"(?:(tcps?)://)?(\[[^\s\[\]]+\]|[^\s/@:\[\]]+)(?::(\d{0,5}))?", re.IGNORECASE)
 # Limit for a call once the daemon stops; three of them fit into the two seconds it has for that.
@@ -36,13 +36,13 @@ class RobotRefused(Exception):  # noqa: N818 - as above
 
 @dataclass(frozen=True, kw_only=True)
 class RobotLimits:
-    """Every limit of the link to the robot, in seconds unless named otherwise.
+    """Every limit of the link to the robot.
 
     connect_s: for a connection, or for finding a service. call_s: for any call on the event path.
-    action_s: for one action, which answers only when it is over; a dance takes minutes.
-    stale_s: what has waited longer than this is dropped, since a late answer is worse than none.
-    heartbeat_s: how often an idle robot is asked something, as a hung one still looks connected.
-    capacity: messages, or reactions, that wait at most; the oldest is dropped.
+    action_s: for one action, whose call returns when it is over; a dance takes minutes.
+    stale_s: what has waited longer is dropped, since a late answer is worse than none.
+    heartbeat_s: how often an idle robot is called, as a hung one still looks connected.
+    capacity: most waiting messages, or reactions; the oldest is dropped.
     """
 
     connect_s: float = 3.0
@@ -55,7 +55,7 @@ class RobotLimits:
 
 @contextmanager
 def waiting(what: str, limit_s: float, stopping: threading.Event) -> Iterator[GoOn]:
-    """Bound a wait for the robot; an error in it says what was waited for, as RobotLost or RobotRefused."""
+    """Limit a wait for the robot; turn errors into RobotLost or RobotRefused that say what was waited for."""
     begun_s = time.monotonic()
 
     def go_on() -> None:
@@ -66,17 +66,17 @@ def waiting(what: str, limit_s: float, stopping: threading.Event) -> Iterator[Go
     try:
         yield go_on
     except RobotRefused as error:
-        # A robot's words may be many, and on several lines.
+        # A robot's message may be long, and have several lines.
         raise RobotRefused(f"{what}: {' '.join(str(error)[:MAX_LINE_BYTES].split())}") from error
     except (OSError, OverflowError, TouchdError) as error:
         raise RobotLost(f"{what}: {reason(error)}") from error
 
 
 class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where the robot is and how to log in, if token_file is given. The token itself is never a setting.
+    """The robot's address, and its login if token_file is given. The token itself is never a setting.
 
-    user: None is nao. certificate: the fingerprint of the robot's, sha256:HEX, or "any"; a token needs it.
-    client: "qi" uses the robot's own library instead of `wire`.
+    user: None is nao. certificate: fingerprint of the robot's certificate, sha256:HEX, or "any"; a token
+    needs it. client: "qi" uses the robot's own library instead of `wire`.
     """
 
     url: str
@@ -116,7 +116,7 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         return scheme, parts[2].strip("[]"), int(parts[3] or PORTS[scheme])
 
     def login(self) -> dict[str, str]:
-        """Return user and token, {} without token_file; raises RobotError, also if anybody might get it."""
+        """Return user and token, {} without token_file; raises RobotError, also for an exposed token."""
         if self.token_file is None:
             return {}
         token = secret_in(self.token_file, "robot.token_file", RobotError)
@@ -127,13 +127,13 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
 
 class RobotSession(Protocol):
-    """One connection to a robot. One thread uses it; after RobotLost it is only closed."""
+    """One connection to a robot, for one thread; after RobotLost it can only be closed."""
 
     def connect(self) -> None:
         """Connect and log in; raises RobotLost or RobotRefused."""
 
     def connected(self) -> bool:
-        """Return False as soon as the connection is known to be gone; a hung robot still reads True."""
+        """Return False as soon as the connection is known to be lost; True for a hung robot."""
 
     def call(self, service: str, method: str, *arguments: object, limit_s: float) -> object:
         """Call a service with builtin types and return its answer; raises RobotLost or RobotRefused."""

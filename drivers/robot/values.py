@@ -1,4 +1,4 @@
-"""QiMessaging's values: bytes by a signature, such as `(sm)` for a text and a value of any kind."""
+"""Encodes and decodes QiMessaging's values by signature, such as `(sm)`: a text and a value of any kind."""
 
 import itertools
 import struct
@@ -7,9 +7,9 @@ from functools import lru_cache
 from typing import Any
 
 NUMBERS = {kind: struct.Struct(f"<{code}") for kind, code in zip("bcCwWiIlLfd", "?bBhHiIqQfd", strict=True)}
-# What a value of any kind is sent as.
+# The signature with which a value of any kind is sent.
 SIGNATURES = {bool: "b", int: "i", float: "d", str: "s", list: "[m]", tuple: "[m]"}
-# Of one message: a few bytes may claim any number of values.
+# Limits of one message: a few bytes may claim any number of values.
 MOST_VALUES, LONGEST_SIGNATURE = 20_000, 300
 
 
@@ -76,7 +76,7 @@ def write(signature: str, value: Any) -> bytes:
 
 @lru_cache(64)
 def inside(signature: str) -> tuple[str, ...]:
-    """Split what is in a signature's brackets; a note behind them, as in `(ff)<Point,x,y>`, is not sent."""
+    """Split the inside of a signature's brackets; an annotation, as in `(ff)<Point,x,y>`, is not sent."""
     if len(signature) > LONGEST_SIGNATURE:
         raise ValueError("the signature is too long")
     found: list[str] = []

@@ -1,4 +1,4 @@
-"""A session with a robot in QiMessaging, NAOqi's protocol, on any computer."""
+"""A session with a robot by QiMessaging, NAOqi's protocol, on any computer."""
 
 import re
 import select
@@ -12,11 +12,11 @@ from touchd.drivers import hosts
 from touchd.drivers.robot.session import GoOn, RobotLimits, RobotLost, RobotRefused, RobotSettings, waiting
 from touchd.drivers.robot.values import read, write
 
-# Magic, id, bytes that follow, version, type, flags, service, object, action.
+# Magic, id, size of the payload, version, type, flags, service, object, action.
 HEADER = struct.Struct("<4sIIHBBIII")
 MAGIC = b"\x42\xde\xad\x42"
 CALL, REPLY, ERROR = 1, 2, 3
-# Ten times the longest answer, which lists a service's methods. What is read of it takes ten times as much.
+# Ten times the longest answer, which lists a service's methods. Decoded, it takes ten times the memory.
 MOST_BYTES = 400_000
 
 # Service, object and action of each call.
@@ -25,14 +25,14 @@ OBJECT, LIST_METHODS = 1, 2
 NO_CAPABILITIES = dict.fromkeys(("MessageFlags", "MetaObjectCache", "RemoteCancelableCalls"), False)
 CAPABILITIES = {"ClientServerSocket": True, **NO_CAPABILITIES}
 AUTH_STATE, DONE = "__qi_auth_state", 3
-# What is read of the answers; newer robots send more behind it.
+# The part of the answers that is read; newer robots append more.
 SERVICE_INFO, METHODS = "(sIsI[s]s)", "({I(Issss[(ss)]s)})"
 
 
 class WireSession:
     """A RobotSession with one of the robot's processes, without a library or a thread of its own.
 
-    port: of another process than that of robot.url, which knows where each service is.
+    port: of a process other than that of robot.url, whose directory knows the process of each service.
     """
 
     def __init__(
@@ -42,7 +42,7 @@ class WireSession:
         self._scheme, self._host, main = settings.address
         self._port, self._number = port or main, 0
         self._line, self._ended = socket.socket(), select.poll()
-        # By port: other processes. By name: a service's process, its number there and its methods.
+        # Other processes by port; and of each service its process, its number there and its methods.
         self._processes: dict[int, WireSession] = {}
         self._services: dict[str, tuple[WireSession, int, dict[int, Any]]] = {}
 
@@ -64,7 +64,7 @@ class WireSession:
         try:
             answer = self._ask(AUTHENTICATE, write("{sm}", {**CAPABILITIES, **login}), "{sm}", go_on)
         except RobotRefused:
-            # NAOqi 2.1 knows no login.
+            # NAOqi 2.1 has no login.
             if login:
                 raise
         else:
@@ -84,7 +84,7 @@ class WireSession:
                 action, payload, gives = _fitting(methods, method, arguments)
                 return process._ask((number, OBJECT, action), payload, gives, go_on)
         except RobotRefused:
-            # The service may have ended; once it is back, it has another number.
+            # The service may have restarted, and has another number then.
             self._services.pop(service, None)
             raise
 
@@ -96,7 +96,7 @@ class WireSession:
     def _find(self, service: str, go_on: GoOn) -> tuple["WireSession", int, dict[int, Any]]:
         """Return a service's process, its number there and its methods."""
         _, number, _, _, endpoints, _ = self._ask(FIND_SERVICE, write("s", service), SERVICE_INFO, go_on)
-        # Their hosts may be the robot's addresses in other networks.
+        # Ignore the hosts: they may be the robot's addresses in other networks.
         ports = re.findall(rf"^{self._scheme}://.*:(\d{{1,5}})$", "\n".join(endpoints), re.MULTILINE)
         process = self if not ports or str(self._port) in ports else self._process_at(int(ports[0]))
         (methods,) = process._ask((number, OBJECT, LIST_METHODS), write("I", 0), METHODS, go_on)
@@ -167,10 +167,10 @@ def encrypted(line: socket.socket, go_on: GoOn) -> tuple[socket.socket, str]:
 
 
 def _fitting(methods: dict[int, Any], method: str, arguments: tuple[object, ...]) -> tuple[int, bytes, str]:
-    """Return the first method that takes these arguments, they in bytes, and what it returns."""
+    """Return the first method that accepts the arguments, with these encoded and its answer's signature."""
     for action, (_, gives, name, takes, *_) in methods.items():
         if name == method:
-            # There may be another of this name, or parameters of a kind that is unknown here.
+            # Try another method of this name if the arguments do not fit, or a parameter's type is unknown.
             with suppress(ValueError, struct.error):
                 return action, write(takes, arguments), gives
     raise RobotRefused("there is none that takes these arguments")
