@@ -91,7 +91,9 @@ class PadMonitor:
     def __init__(self, name: str = DEFAULT_PAD, parser: FrameParser | None = None) -> None:
         self._prefix = "" if name == DEFAULT_PAD else f"{name}: "
         self._log = FaultLog(log, self._prefix)
-        self._restarts = _Restarts(parser)
+        self._parser = parser
+        self._restarts = 0 if parser is None else parser.counts.restarts
+        self._restarted_s: deque[float] = deque([-math.inf] * OFTEN_RESTARTS, maxlen=OFTEN_RESTARTS)
         self._taxels = TaxelFaults()
         self._state: SensorState | None = None
         self._lasting: dict[str, str] = {}
@@ -135,7 +137,7 @@ class PadMonitor:
         self._is_untouched &= is_untouched
         if (frame.sensor_ms - self._block[0].sensor_ms) % CLOCK_MODULUS < CHECK_MS or len(self._block) < 3:
             return None
-        found = self._gaps() | self._restarts.check(frame.host_s)
+        found = self._gaps() | self._often_restarted(frame.host_s)
         if self._is_untouched:
             self._taxels.update(self._block)
         found |= self._taxels.found
@@ -155,6 +157,15 @@ class PadMonitor:
             why = "frames come with gaps; are they lost on the way, or do two boards send there?"
             return {"gaps": FAULTS["gaps"].words.format(why)}
         return {}
+
+    def _often_restarted(self, now_s: float) -> dict[str, str]:
+        """Return the fault that the board restarts often, by the parser's count."""
+        if self._parser is not None and self._parser.counts.restarts != self._restarts:
+            self._restarts = self._parser.counts.restarts
+            self._restarted_s.append(now_s)
+        first_s, last_s = self._restarted_s[0], self._restarted_s[-1]
+        is_often = max(last_s - first_s, now_s - last_s) <= 60.0
+        return {"restarts": FAULTS["restarts"].words.format(OFTEN_RESTARTS)} if is_often else {}
 
     def _follow(self, found: Mapping[str, str], now_s: float) -> SensorState | None:
         """Log what has begun and ended; return the state if it is another one now."""
@@ -178,23 +189,6 @@ class PadMonitor:
         if worst:
             self._state = SensorState("degraded", self._lasting[worst], worst)
         return self._state
-
-
-class _Restarts:
-    """Detects that a pad's board restarts often, by the parser's count."""
-
-    def __init__(self, parser: FrameParser | None) -> None:
-        self._parser = parser
-        self._seen = 0 if parser is None else parser.counts.restarts
-        self._at_s: deque[float] = deque([-math.inf] * OFTEN_RESTARTS, maxlen=OFTEN_RESTARTS)
-
-    def check(self, now_s: float) -> dict[str, str]:
-        """Take the host's time; return what is found."""
-        if self._parser is not None and self._parser.counts.restarts != self._seen:
-            self._seen = self._parser.counts.restarts
-            self._at_s.append(now_s)
-        is_often = max(self._at_s[-1] - self._at_s[0], now_s - self._at_s[-1]) <= 60.0
-        return {"restarts": FAULTS["restarts"].words.format(OFTEN_RESTARTS)} if is_often else {}
 
 
 class TaxelFaults:

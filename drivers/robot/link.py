@@ -31,11 +31,7 @@ class Act(NamedTuple):
 
 @dataclass
 class _Pad:
-    """A pad's events on the robot.
-
-    prefix: of their names. status: the pad's. sent: the status last sent. foreign: the status that another
-    program wrote last. remove_at_s: when to remove the gesture.
-    """
+    """A pad's events. status: the pad's. sent: the last one sent. foreign: the last of another program."""
 
     prefix: str
     status: str = "up"
