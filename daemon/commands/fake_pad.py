@@ -63,7 +63,8 @@ def main(options: argparse.Namespace) -> int:
             sys.stdout.write(f"live page: {' '.join(page.urls)}\n")
         port = closing.enter_context(LivePort(pad.scan, encoder_for(found.settings.sensor)))
         file = f" -c {shlex.quote(str(found.file))}" if found.file else ""
-        sys.stdout.write(f"pad: {port.path}\nread it with: {program_name()} run{file} --port {port.path}\n")
+        where = f", once sensors.{options.pad}.port is set to it" if options.pad else f" --port {port.path}"
+        sys.stdout.write(f"pad: {port.path}\nread it with: {program_name()} run{file}{where}\n")
         sys.stdout.flush()
         threading.Event().wait()
     return 0

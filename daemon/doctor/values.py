@@ -89,7 +89,7 @@ def check_noise(sample: Sample) -> Check:
     if line := _loose_line(counts):
         return Check("noise", "to do", f"{found}: the values of {line} jump together", wires)
     if loud.any():
-        return Check("noise", "to do", f"{found}: {places(loud)} is noisy", wires)
+        return Check("noise", "to do", f"{found}: noise at {places(loud)}", wires)
     return Check("noise", "ok", found)
 
 

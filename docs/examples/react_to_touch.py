@@ -2,6 +2,7 @@
 
 Polls ALMemory, since a callback would need a connection from the robot back to this computer, which NAT and
 Docker prevent. For NAOqi 2.9: python react_to_touch.py tcps://pepper.local:9503 PASSWORD
+With several pads the event is TouchGesture/PAD/Detail.
 """
 
 import sys

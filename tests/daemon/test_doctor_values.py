@@ -83,9 +83,9 @@ def press(counts: Counts) -> None:
     [
         (hum, ": all taxels swing together by 5.0 counts, at 4 Hz as sampled: mains hum, or a motor"),
         (loose_row, ": the values of row 3 jump together"),
-        (lambda counts: noisy(counts, np.s_[:, 6:7, 1:2]), ": row 7 column 2 is noisy"),
+        (lambda counts: noisy(counts, np.s_[:, 6:7, 1:2]), ": noise at row 7 column 2"),
         (lambda counts: noisy(counts, np.s_[:]), ": the whole pad is noisy"),
-        (press, " and 12 more is noisy"),
+        (press, " and 12 more"),
         (lambda counts: None, ""),
     ],
     ids=["hum", "a loose line", "a taxel", "all", "a press", "nothing"],
