@@ -23,7 +23,8 @@ ADVICE = "check `model` in the configuration"
 MAX_FILE_BYTES = 32 * 1024 * 1024
 TRIAL_S = 10.0
 TRIAL_FRAMES = 54
-# Pads in the training data rest at up to 8 counts on average, and at up to 28 in a single taxel.
+# The highest mean rest, and rest of a taxel, that the network knows. Pads in the training data rest at up to
+# 8 counts on average, and at up to 28 in a single taxel.
 KNOWN_REST_COUNTS, KNOWN_TAXEL_COUNTS = 10.0, 30.0
 
 # Every prediction event carries all labels; these limits bound its size.
@@ -34,7 +35,7 @@ Name: TypeAlias = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_.+-]{1,64}$"
 
 
 class ModelError(TouchdError):
-    """A model file is missing, unreadable or not made for this pad; the message says which and what to do."""
+    """A model file is missing, damaged or not made for this pad; the message says which and what to do."""
 
 
 class ModelMetadata(msgspec.Struct, frozen=True, kw_only=True):
@@ -122,7 +123,7 @@ class Classifier:
         if not self.states:
             counts = counts if state is None else np.concatenate([state["counts"], counts], axis=1)
             return self.batch_probabilities(counts)[0], {"counts": counts}
-        # Plain arrays: wrapping ONNX Runtime's own values takes a quarter of a step's time.
+        # Pass plain arrays: wrapping them in ONNX Runtime's own type takes a quarter of a step's time.
         names = ["probabilities", *(f"next_{name}" for name in self.states)]
         answers, *after = self.session.run(names, {"counts": counts, **(state or {})})
         return np.asarray(answers[0], dtype=np.float64), dict(zip(self.states, after, strict=True))
@@ -137,10 +138,10 @@ class Classifier:
         return counts
 
 
-def as_known(frames: NDArray[np.float32], rest: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Subtract a pad's rest (64 counts) from (T, 8, 8) counts if it is higher than the network has learnt.
+def subtract_high_rest(frames: NDArray[np.float32], rest: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Subtract a pad's rest (64 counts) from (T, 8, 8) counts where it is higher than the network knows.
 
-    Without this, the network calls every touch on a pad that rests at 60 counts constant.
+    Otherwise the network classifies every touch on a pad that rests at 60 counts as constant.
     """
     if rest.sum() > KNOWN_REST_COUNTS * rest.size:
         higher = rest
@@ -153,7 +154,7 @@ def as_known(frames: NDArray[np.float32], rest: NDArray[np.float32]) -> NDArray[
 
 
 def load_own(path: Path) -> Classifier:
-    """Load a file that may come from anywhere; raises ModelError if it is not a model for this pad."""
+    """Load a user's file, from wherever it comes; raises ModelError if it is not a model for this pad."""
     with os_errors_as(ModelError, f"{path}: the model cannot be read", ADVICE):
         # Reading a pipe or a device may never end.
         if path.is_fifo() or path.is_char_device():
@@ -203,9 +204,9 @@ def open_session(path: Path, threads: int) -> onnxruntime.InferenceSession:
     options.inter_op_num_threads = 1
     options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
     options.log_severity_level = 3
-    # Denormal floats take the processor tens of times longer and mean nothing here.
+    # Denormal floats are tens of times slower and have no effect here.
     options.add_session_config_entry("session.set_denormal_as_zero", "1")
-    # By default external weights are loaded from the working folder; this path holds none.
+    # By default, external weights are loaded from the working folder; this path has none.
     options.add_session_config_entry("session.model_external_initializers_file_folder_path", os.devnull)
     # A spinning pool would burn the idle core of a robot's companion computer.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
@@ -217,7 +218,7 @@ def open_session(path: Path, threads: int) -> onnxruntime.InferenceSession:
             content,
             options,
             providers=["CPUExecutionProvider"],
-            # At this width its kernel takes six times as long as the plain operators that it replaces.
+            # At this width, the fused kernel is six times slower than the operators that it replaces.
             disabled_optimizers=["SkipLayerNormFusion"],
         )
     except Exception as error:  # ONNX Runtime raises its own undocumented types

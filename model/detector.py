@@ -1,4 +1,4 @@
-"""Says of each frame how likely it is that a hand is on the pad; the caller keeps the state."""
+"""The detector: a network that returns, frame by frame, the probability that a hand is on the pad."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,29 +13,29 @@ from numpy.typing import NDArray
 from touchd.model.classifier import ModelError, open_session
 
 SHIPPED_DETECTOR = Path(__file__).parent / "weights" / "detector.onnx"
-# Half a second of the untouched pad shows its rest.
+# Rest is measured for half a second on the untouched pad.
 REST_FRAMES = 27
-# A touch begins after some frames above the first probability, or one above the second.
+# A touch begins after BEGIN_FRAMES frames above BEGINS, or with one above SURE.
 BEGINS, BEGIN_FRAMES, SURE = 0.95, 4, 0.985
-# Between this and BEGINS, a hand is likely, but the classifier is asked too.
+# Above this, a hand is likely; the classifier has to confirm it.
 LIKELY = 0.7
-# A touch goes on while the probability is above this, and for `quiet_s` below.
+# A touch ends once the probability has been at most this for `quiet_s`.
 GOES_ON = 0.2
 METADATA_KEY = "touchd-detector"
 STATES = ("levels", "noise", "peak", "hidden")
-# Mean of |a - b| of two normal values, in standard deviations.
+# Mean of |a - b| for two normal values, in standard deviations.
 STEP_DEVIATIONS = 1.128
-# On a pad that rounds its noise away, one count is not yet a hand.
+# Where rounding removes a pad's noise, one count must not look like a hand.
 LEAST_NOISE_COUNTS = 0.5
 NOW_TOUCHED, NOW_UNTOUCHED = np.ones((1, 1), np.float32), np.zeros((1, 1), np.float32)
 
 DetectorState: TypeAlias = Mapping[str, NDArray[np.float32]]
-"""What is known of the pad before a frame, by the names of STATES: see `signals.Pad`."""
+"""What is known of the pad before a frame, by the names in STATES: see `signals.Pad`. The caller keeps it."""
 
 
 @dataclass(frozen=True)
 class Detector:
-    """Says how likely it is that a hand is on the pad. width: of its memory. training: its settings."""
+    """The network. width: of its memory. training: the settings of its training."""
 
     session: onnxruntime.InferenceSession
     width: int
@@ -67,7 +67,7 @@ class Detector:
     ) -> tuple[float, DetectorState]:
         """Return the probability that a hand is on the pad in a frame, (64,) counts, and the next state.
 
-        is_touch: whether a touch goes on; rest and noise then stay as they are.
+        is_touch: whether a touch is in progress; rest and noise then stay unchanged.
         """
         now = {
             "counts": counts[np.newaxis, np.newaxis],
@@ -89,7 +89,7 @@ def at_rest(state: DetectorState, frames: NDArray[np.float32], *, forgets_hand: 
 
 
 def after_gap(state: DetectorState, counts: NDArray[np.float32]) -> DetectorState:
-    """Return the state for (64,) counts after a gap; the change across it is not taken for movement."""
+    """Return the state for (64,) counts after a gap, so that the change across it is not movement."""
     levels = state["levels"].copy()
     levels[0, 1:] = counts
     return {**state, "levels": levels}

@@ -18,20 +18,20 @@ class NetworkSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     dense: int = 96
     dropout: float = 0.2
     smooth_frames: int = 0
-    """Frames over which the stem also sees each taxel's mean, and its change since as many frames before.
+    """The stem also sees each taxel's mean over this many frames, and its change since the mean before.
 
-    A noisy pad's light touches hardly show in a single frame. 0: the stem sees single frames alone.
+    Light touches on a noisy pad hardly show in a single frame. 0: the stem sees single frames only.
     """
     knee_counts: float = 4.0
-    """Counts below are taken about linearly, above logarithmically. Below lies what differs among pads."""
+    """Counts below are scaled about linearly, above logarithmically. Pads differ most below."""
 
 
 class AugmentationSettings(msgspec.Struct, frozen=True):
-    """How far each property of a touch is varied; probabilities a window where nothing else is said."""
+    """How far each property of a touch is varied. Values are probabilities per window unless stated."""
 
     published_framing: float = 0.25
     onset: float = 0.6
-    """Begun from rest, as a live touch is: the recordings themselves are cut from the middle of a gesture."""
+    """The touch begins from rest, as a live one: the recordings are cut from the middle of a gesture."""
     onset_frames: float = 16.0
     """The longest rise from rest to full contact."""
     onset_wait_frames: float = 6.0
@@ -60,7 +60,7 @@ class AugmentationSettings(msgspec.Struct, frozen=True):
     warp: float = 0.0
     """Standard deviation, in taxels, of a smooth displacement, as of a pad that is bent around a body."""
     rest: float = 0.0
-    """The rest is another: a smooth field and single taxels, up to `rest_counts` up or down."""
+    """Another rest: a smooth field and single taxels, up to `rest_counts` up or down."""
     rest_counts: float = 8.0
     sway: float = 0.0
     """The body below breathes or leans: a smooth field that comes and goes at 0.2 to 1 Hz, and drifts."""

@@ -31,7 +31,7 @@ from touchd.daemon.path.tracker import SETTLED_FRAMES, Onset, Release, TouchSett
 from touchd.drivers.errors import one_line
 from touchd.drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, FRAME_RATE_HZ, NO_TOUCH, Frame, SensorState
 from touchd.drivers.pad.grid import GridFrame, Ring
-from touchd.model.classifier import Classifier, ModelState, as_known
+from touchd.model.classifier import Classifier, ModelState, subtract_high_rest
 from touchd.model.detector import REST_FRAMES, Detector
 
 STAGES: tuple[Stage, Stage, Stage] = ("early", "revised", "final")
@@ -252,7 +252,7 @@ class Pipeline:
 
     def _window(self, touch: Touch, length: int, frames: int) -> NDArray[np.float32]:
         """Return the last `frames` of the touch's first `length`, less the rest before it if that is high."""
-        return as_known(self._ring.window(touch.first_index + length, frames), touch.rest)
+        return subtract_high_rest(self._ring.window(touch.first_index + length, frames), touch.rest)
 
     def _answer_what_is_due(self, touch: Touch, frame: GridFrame) -> None:
         length = touch.length
@@ -315,7 +315,7 @@ class Pipeline:
         counts, rest = self._ring.window(touch.first_index + touch.length, frames), self._tracker.rest
         if _leaves(counts - rest.mean()):
             return
-        output = self._model.probabilities(as_known(counts, rest))
+        output = self._model.probabilities(subtract_high_rest(counts, rest))
         touch.recent = [*touch.recent[1 - ONGOING_WINDOWS :], output]
         mean: NDArray[np.float64] = np.mean(touch.recent, axis=0)
         if len(touch.recent) == ONGOING_WINDOWS and touch.decision.has_changed(mean):
@@ -369,7 +369,7 @@ def tracker_of(settings: PipelineSettings, model: Classifier, detector: Detector
     """Return a pad's tracker, which asks the model in doubt if that knows `notouch`."""
 
     def p_no_touch(frames: NDArray[np.float32], rest: NDArray[np.float32]) -> float:
-        return float(model.probabilities(as_known(frames, rest))[model.labels.index(NO_TOUCH)])
+        return float(model.probabilities(subtract_high_rest(frames, rest))[model.labels.index(NO_TOUCH)])
 
     question = p_no_touch if NO_TOUCH in model.labels else None
     return TouchTracker(settings.touch, detector, question, is_finer=settings.is_finer)

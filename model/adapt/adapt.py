@@ -32,8 +32,9 @@ from touchd.model.tgc import TGC
 SETTINGS = AdaptSettings()
 # The sources that decide any training's result.
 SOURCES = ("adapt/augment.py", "adapt/head.py", "tgc.py", "settings.py")
-# How much more `other` is rehearsed if nobody recorded it. After three people and a gesture of their own,
-# 37 % of others' touches that are none are still refused (44 before); without it 17 %.
+# How many more times `other` is rehearsed if nobody recorded it. After adapting to three people and a gesture
+# of their own, 37 % of other people's touches that are none of the gestures are still `other` (44 before);
+# without it 17 %.
 MORE_OTHER = 3
 
 
@@ -62,12 +63,12 @@ class Pretrained:
         remembered = Remembered.load(SHIPPED_MODEL.with_suffix(".npz"))
         return cls.of(SHIPPED_MODEL, stored["network"], remembered)
 
-    def shown(self, recordings: Sequence[Recording], settings: AdaptSettings) -> CropFeatures:
-        """Return what a head learns from of the recordings."""
+    def features(self, recordings: Sequence[Recording], settings: AdaptSettings) -> CropFeatures:
+        """Return the features of the recordings from which a head learns."""
         return crops(self.backbone, recordings, self.augmentation, settings.crops, settings.seed)
 
     def rehearsed(self, labels: Sequence[str], recorded: Collection[str], seed: int) -> CropFeatures:
-        """Draw what stands for other people; `other` more often if it is not among what was recorded."""
+        """Draw features that stand for other people; `other` more often if nobody recorded it."""
         more = [] if OTHER in recorded else [OTHER] * MORE_OTHER
         return self.remembered.samples([*labels, *more], seed)
 
@@ -76,8 +77,7 @@ class Pretrained:
 class Adapted:
     """A fine-tuned head and its cross-validation.
 
-    known: labels of the pretrained network. passed_over: how many saved touches were not learnt from, by the
-    reason.
+    known: labels of the pretrained network. passed_over: how many saved touches were not used, by the reason.
     """
 
     known: tuple[str, ...]
@@ -121,14 +121,14 @@ def adapt(
     begin = rebuilt(pretrained.head, known, labels)
     new = sorted(set(labels) - set(known))
     rehearsed = pretrained.rehearsed(labels, recorded, settings.seed)
-    shown = pretrained.shown(recordings, settings)
+    features = pretrained.features(recordings, settings)
     left_out, folds = plan(recordings)
     trained = [*(fold.trained for fold in folds), tuple(range(len(recordings)))]
     bar = tqdm(trained, desc="adapting", leave=False, disable=None)
-    *heads, head = [fit(begin, labels, new, shown.of(own), rehearsed, settings) for own in bar]
-    turns = list(zip(heads, folds, strict=True))
+    *heads, head = [fit(begin, labels, new, features.of(own), rehearsed, settings) for own in bar]
+    trials = list(zip(heads, folds, strict=True))
     scored = {
-        frames: _scored(begin, turns, own, recordings, labels, known)
+        frames: _scored(begin, trials, own, recordings, labels, known)
         for frames, own in windows(pretrained.backbone, recordings).items()
     }
     return Adapted(known, labels, tuple(recordings), head, compare(scored, known, left_out))
@@ -136,19 +136,19 @@ def adapt(
 
 def _scored(
     begin: nn.Sequential,
-    turns: Sequence[tuple[nn.Sequential, Fold]],
+    trials: Sequence[tuple[nn.Sequential, Fold]],
     own: WindowFeatures,
     recordings: Sequence[Recording],
     labels: Sequence[str],
     known: Sequence[str],
 ) -> list[Scored]:
-    """Return how well the folds' held-out recordings are answered, by windows of one length."""
+    """Return the scores of the folds' held-out recordings, on windows of one length."""
     truth = np.array([labels.index(recordings[i].gesture) for i in own.recordings], dtype=np.int64)
     first = logits(begin, own)
-    # The pretrained network does not answer with a new gesture.
+    # The pretrained network cannot answer with a new gesture.
     first[:, [label not in known for label in labels]] = -np.inf
     before, scored = first.argmax(axis=1) == truth, []
-    for head, fold in turns:
+    for head, fold in trials:
         after = logits(head, own).argmax(axis=1) == truth
         for i in fold.evaluated:
             cut = own.recordings == i

@@ -1,7 +1,7 @@
 """Cached features of the frozen backbone.
 
-Adapting changes only the head: the dense layers after the touch's summary features. So each crop passes
-through the backbone once, however many heads are trained on it.
+Adapting changes only the head: the dense layers after the summary of a touch. So each crop passes through the
+backbone once, however many heads are trained on it.
 """
 
 import copy
@@ -26,12 +26,12 @@ from touchd.model.tgc import TGC
 
 LEARNT_LENGTHS = (54, 81, 108, 144)
 BATCH = 64
-# What is drawn of each remembered Gaussian, and the names of its arrays in a file.
+# Samples of each remembered Gaussian, and the names of its arrays in a file.
 SAMPLES = 128
 ARRAYS = ("means", "directions", "rests")
 # A recording shorter than a crop is used from its start, at its own pace; its last frame is repeated.
 AS_IT_IS = {"published_framing": 0.0, "change_pace": 0.0, "onset": 0.0}
-# The tracker dates a touch up to three frames too early or two too late.
+# A touch's first frame is up to three frames too early or two too late.
 EARLIEST_FRAMES, LATEST_FRAMES = 3, 2
 # The daemon answers an ended touch 13 frames after its last contact.
 AFTER_FRAMES = 13
@@ -45,7 +45,7 @@ Window: TypeAlias = tuple[int, NDArray[np.generic], int]
 class CropFeatures:
     """Summaries of varied crops: values (N, crops, 4, features), at each of LEARNT_LENGTHS.
 
-    Those of a touch in passing that is over by then are after its end.
+    If a touch in passing has ended by then, its summary is that after its end.
     within: (N, 4) bool, whether the recording is that long. gestures: (N,) names.
     """
 
@@ -60,11 +60,11 @@ class CropFeatures:
 
 @dataclass(frozen=True, eq=False)
 class Remembered:
-    """Gaussians of what the backbone made of its training recordings; samples of them stand for other people.
+    """Gaussians of the features of the training recordings; samples of them stand for other people.
 
-    A head that is adapted to one person forgets the others, whose recordings are then not needed (generative
-    feature replay, Liu et al. 2020). There is one Gaussian for each study, gesture and length (N, L): its
-    principal axes and each feature's residual.
+    A head that is adapted to one person would forget the others; the samples replace their recordings
+    (generative feature replay, Liu et al. 2020). There is one Gaussian for each study, gesture and length
+    (N, L): its principal axes and each feature's residual.
     means, rests: (N, L, features); rests are residual standard deviations. directions: (N, L, R, features),
     each scaled by its standard deviation. gestures: (N,) names.
     """
@@ -194,7 +194,7 @@ def _laid(recording: InPassing, lead: Tensor, pace: Tensor) -> Tensor:
     counts = torch.from_numpy(recording.counts.astype(np.float32))
     ticks = torch.arange(WINDOW_FRAMES)
     places = recording.first + (ticks - lead[:, None]) * pace[:, None]
-    # The rest goes on, to and fro, where the recording ends.
+    # After the end of the recording, the rest is played backwards and forwards.
     last = len(counts) - 1
     span = max(1, last - recording.over)
     beyond = (places - last).clamp_min(0.0)

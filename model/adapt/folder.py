@@ -26,7 +26,7 @@ from touchd.drivers.recording import (
     set_up,
 )
 from touchd.model.adapt.passing import LEAST_AFTER_FRAMES, InPassing, joined, whole
-from touchd.model.classifier import LONGEST_LABEL, MOST_LABELS, as_known
+from touchd.model.classifier import LONGEST_LABEL, MOST_LABELS, subtract_high_rest
 
 # The first answer needs 54 frames.
 SHORTEST_FRAMES = 54
@@ -48,7 +48,7 @@ class OutputError(TouchdError):
 
 
 class Read(NamedTuple):
-    """What a folder holds. passed_over: how many saved touches are not learnt from, by the reason."""
+    """The contents of a folder. passed_over: how many saved touches are not used, by the reason."""
 
     recordings: list[Recording]
     passed_over: Mapping[str, int]
@@ -60,7 +60,7 @@ def read_all(
     """Return all recordings as whole scans at 54 Hz, in the order of the file names.
 
     A short touch comes with the rest around it: see `InPassing`. If the pad rests high, the rest is
-    subtracted, as the daemon does for the network: see `as_known`.
+    subtracted, as the daemon does for the network: see `subtract_high_rest`.
     known: gestures of the model to adapt. keep_all: whether it keeps those without recordings. labels: of
     saved touches, by file name. Raises ExtraError.
     """
@@ -89,7 +89,7 @@ def read_all(
         # The daemon saves touches without a name.
         (person,) = people
         recordings = [replace(recording, participant=person) for recording in recordings]
-    return Read(_as_known(recordings), +passed_over)
+    return Read(_subtract_high_rests(recordings), +passed_over)
 
 
 def _labelled(parts: list[Recording], label: str) -> list[Recording]:
@@ -98,19 +98,19 @@ def _labelled(parts: list[Recording], label: str) -> list[Recording]:
     return [whole(named)] if label == NO_TOUCH else named
 
 
-def _as_known(recordings: Sequence[Recording]) -> list[Recording]:
-    """Apply `as_known` with the rest of each recording's own set-up, or else of any other."""
+def _subtract_high_rests(recordings: Sequence[Recording]) -> list[Recording]:
+    """Apply `subtract_high_rest`, with the rest of the recording's own set-up, or else of any other."""
     resting = {set_up(each): each.counts for each in reversed(recordings) if each.gesture == NO_TOUCH}
     usual = next(iter(resting.values()), np.zeros((1, ROWS, COLUMNS)))
     found = []
     for each in recordings:
         rest = resting.get(set_up(each), usual)
         if isinstance(each, InPassing):
-            # Before the touch, if there is enough of it: afterwards a fabric's rest has shifted.
+            # The rest before the touch if it is long enough: afterwards a fabric's rest has shifted.
             is_enough = each.first >= LEAST_AFTER_FRAMES
             rest = each.counts[: each.first] if is_enough else each.counts[each.over :]
         level = np.median(rest, axis=0).astype(np.float32)
-        found.append(replace(each, counts=as_known(each.counts.astype(np.float32), level)))
+        found.append(replace(each, counts=subtract_high_rest(each.counts.astype(np.float32), level)))
     return found
 
 
@@ -150,7 +150,7 @@ def _check(path: Path, recording: Recording, first_of: dict[bytes, Path]) -> Non
             f"{path}: {length_s:.2f} s of {recording.gesture} without a gap, and at least {least_s:g} s is "
             "needed; record it again, or delete the file"
         )
-    # A duplicate could be on both sides of a fold.
+    # Cross-validation could train and score on duplicates.
     digest = hashlib.sha256(recording.counts.tobytes()).digest()
     if digest in first_of:
         raise ExtraError(f"{path}: the same recording as in {first_of[digest]}; delete one of them")

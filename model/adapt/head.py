@@ -20,7 +20,7 @@ from torch.nn.utils import clip_grad_norm_, parameters_to_vector, vector_to_para
 
 from touchd.model.adapt.backbone import CropFeatures
 
-# The class at lengths that a recording does not have.
+# The class at lengths that a recording does not reach; ignored in the loss.
 UNASKED = -1
 GRADIENT_LIMIT = 1.0
 

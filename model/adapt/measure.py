@@ -26,7 +26,7 @@ UPPER = 0.975
 
 
 class Fold(NamedTuple):
-    """Numbers of the recordings to train on and of those held out and evaluated."""
+    """Indices of the recordings to train on, and of those held out and evaluated."""
 
     trained: list[int]
     evaluated: list[int]
@@ -56,7 +56,7 @@ def plan(recordings: Sequence[Recording]) -> tuple[LeftOut, list[Fold]]:
 
 @dataclass(frozen=True)
 class Scored:
-    """A held-out recording, and the shares of its windows that were right before and after adapting."""
+    """A held-out recording, and the shares of its windows answered rightly before and after adapting."""
 
     participant: str
     gesture: str
@@ -137,11 +137,11 @@ def _macro(scored: Sequence[Scored]) -> Floats:
 
 
 def mean_interval(values: Floats) -> tuple[float, float] | None:
-    """Return the 95 % t interval of a mean; None if it cannot be told.
+    """Return the 95 % t interval of a mean; None if it cannot be estimated.
 
     Unlike a bootstrap, it is wide enough with two or three values.
     """
-    # A few who happen to change equally do not prove that everybody does.
+    # A few equal changes do not prove that everybody changes equally.
     if len(values) < 2 or np.ptp(values) < 1e-9:
         return None
     middle = float(values.mean())

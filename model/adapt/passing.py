@@ -1,7 +1,7 @@
-"""Touches in passing: a hand comes, touches once or a few times, and goes; then the pad rests.
+"""Touches in passing: a hand touches the pad once or a few times and leaves; then the pad rests.
 
-Such a touch is over before the windows in which longer ones are answered. What it was shows in the touch and
-the rest after it, so both are learnt from.
+Such a touch ends before the windows at which longer touches are answered. Both the touch and the rest after
+it show what it was, so a model learns from both.
 """
 
 from collections.abc import Sequence
@@ -12,11 +12,11 @@ import numpy as np
 from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH
 from touchd.drivers.recording import Recording, on_grid, set_up
 
-# The longest window: a longer touch is a recording like any other.
+# The longest window; a longer touch is an ordinary recording.
 WINDOW_FRAMES = 144
-# Contacts shorter than this, or with less rest after them, are passed over.
+# Shorter contacts, or contacts with less rest after them, are not used.
 LEAST_FRAMES, LEAST_AFTER_FRAMES = 2, 9
-# Pieces of one file further apart do not belong together.
+# Parts of a file with a longer gap between them do not belong together.
 CUT_MS = 1000
 # The key of ended touches in passing, beside the lengths of windows.
 IN_PASSING = 0
@@ -36,8 +36,7 @@ class InPassing(Recording):
 def joined(parts: Sequence[Recording]) -> list[Recording]:
     """Return a file's recordings on the grid, each short touch together with the rest beside it.
 
-    Left out are the rest beside a touch, which is too short to learn from, and a short touch without rest
-    after it.
+    Drops rest beside a touch, which alone is too short to learn from, and short touches without rest after.
     """
     found: list[Recording] = []
     for place, part in enumerate(parts):
@@ -62,13 +61,13 @@ def _frames(ms: np.int64) -> int:
 
 
 def _follows(one: Recording, other: Recording) -> bool:
-    """Whether one is a touch and the other the rest just after it, or the other way round."""
+    """Whether `other` follows `one`, and one of them is a touch and the other rest."""
     is_pair = (one.gesture == NO_TOUCH) != (other.gesture == NO_TOUCH) and set_up(one) == set_up(other)
     return is_pair and bool(0 < other.sensor_ms[0] - one.sensor_ms[-1] <= CUT_MS)
 
 
 def _in_passing(touch: Recording, parts: Sequence[Recording]) -> list[Recording]:
-    """Return a touch and the rest around it as one recording; none if it cannot be learnt from."""
+    """Return a touch and the rest around it as one recording; none if it is too short or has a gap."""
     start_ms, end_ms = parts[0].sensor_ms[0], parts[-1].sensor_ms[-1]
     laid = on_grid(whole(parts))
     first = _frames(touch.sensor_ms[0] - start_ms)

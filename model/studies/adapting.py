@@ -99,7 +99,7 @@ class PersonFold:
             before = self.accuracy(start, evaluated)
             for each in SHOTS:
                 shown = [self.unseen[i] for first in drawn for i in first[:each]]
-                features = pretrained.shown(shown, settings)
+                features = pretrained.features(shown, settings)
                 head = fit(start, pretrained.labels, [], features, rehearsed, settings)
                 after = self.accuracy(head, evaluated)
                 gains = [

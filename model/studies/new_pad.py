@@ -104,7 +104,7 @@ def people_on_a_new_pad(
     recordings = folders.to_train_on(("third",))
     labels = pretrained.labels
     scored = Scored(pretrained, recordings, labels)
-    shown = pretrained.shown(recordings, settings)
+    shown = pretrained.features(recordings, settings)
     rehearsed = pretrained.rehearsed(labels, haart.GESTURES, settings.seed)
     everybody = sorted(set(scored.people.tolist()))
 
@@ -130,7 +130,7 @@ def two_gestures_more(folders: Folders, runs: Path, settings: AdaptSettings) -> 
     for left_out, pretrained in networks(folders, runs):
         labels = tuple(sorted({*pretrained.labels, *NEW}))
         start = rebuilt(pretrained.head, pretrained.labels, labels)
-        shown = pretrained.shown(haart.without(third, left_out), settings)
+        shown = pretrained.features(haart.without(third, left_out), settings)
         rehearsed = pretrained.rehearsed(labels, haart.GESTURES, settings.seed)
         head = fit(start, labels, NEW, shown, rehearsed, settings)
         on_third = Scored(pretrained, haart.only(third, left_out), labels)

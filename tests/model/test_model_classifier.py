@@ -18,9 +18,9 @@ from touchd.model.classifier import (
     Classifier,
     ModelError,
     ModelMetadata,
-    as_known,
     digest_file,
     load_own,
+    subtract_high_rest,
 )
 from touchd.model.settings import LENGTHS
 from touchd.model.studies.checks.hard_cases import hand
@@ -257,8 +257,8 @@ def test_a_high_rest_is_subtracted_before_the_network() -> None:
     low, one, high = np.full((3, 64), 4, np.float32)
     one[10], high[:] = 70, 40
     high[20] = 95
-    assert as_known(frames, low) is frames
-    seen = as_known(frames, one)
+    assert subtract_high_rest(frames, low) is frames
+    seen = subtract_high_rest(frames, one)
     assert np.unique(seen).tolist() == [20, 90]
     assert (seen[:, 1, 2] == 20).all()
-    assert np.unique(as_known(frames, high)).tolist() == [0, 50]
+    assert np.unique(subtract_high_rest(frames, high)).tolist() == [0, 50]
