@@ -1,7 +1,7 @@
 """Time and error of one answer, of our networks and others': `python -m touchd.model.studies speed`.
 
-All networks answer by turns in one run, each on one thread, so that other load on the machine affects them
-equally. Other people's networks have random weights here, which does not change the time.
+The networks are timed interleaved in one run, each on one thread, so that other load on the machine affects
+them equally. Other people's networks have random weights here, which does not change the time.
 """
 
 import logging
@@ -35,7 +35,7 @@ from touchd.model.studies.challenge.table import FILE as CHALLENGE_FILE
 from touchd.model.studies.challenge.table import scores_of
 from touchd.model.studies.checks.hard_cases import hand
 from touchd.model.studies.checks.scores import read_scores
-from touchd.model.studies.checks.timing import time_in_turn
+from touchd.model.studies.checks.timing import time_interleaved
 from touchd.model.studies.folders import study_parser
 from touchd.model.studies.marked import fill, table
 from touchd.model.studies.paper import FILE as PAPER_FILE
@@ -133,8 +133,8 @@ def main(arguments: Sequence[str]) -> int:
 
 
 def run(asked: Sequence[Asked], answers: int) -> Measured:
-    """Time the answers by turns."""
-    times_ms = time_in_turn([each.answer for each in asked], answers)
+    """Time the answers, interleaved."""
+    times_ms = time_interleaved([each.answer for each in asked], answers)
     return Measured(
         machine(),
         tuple(

@@ -1,6 +1,6 @@
-"""Fits temperatures, so that a confidence of 0.8 is right 8 times in 10 for people the network never saw.
+"""Calibrates confidences: of answers with 0.8, 8 in 10 are right for people whom the network never saw.
 
-Temperature scaling (Guo et al. 2017), one temperature per length, fitted on left-out participants: each
+Temperature scaling (Guo et al. 2017), one temperature per length, fitted on held-out participants: each
 training recording is answered by the network that was trained without its participant.
 """
 
@@ -26,11 +26,11 @@ TEMPERATURES = np.geomspace(0.3, 5.0, 200)
 
 
 Answers = Mapping[int, tuple[Floats, Labels]]
-"""A network's answers about people held out: logits (N, classes) and labels (N,) by length."""
+"""A network's answers about held-out people: logits (N, classes) and labels (N,) by length."""
 
 
 def ask_left_out(saved: Checkpoint, recordings: Sequence[Recording]) -> Answers:
-    """Return a network's answers about a study's people whom its training held out; see `ask`."""
+    """Return a network's answers about the people of a study that its training held out; see `ask`."""
     return ask(saved, haart.only(recordings, saved.settings.left_out))
 
 
@@ -53,9 +53,9 @@ def ask(saved: Checkpoint, recordings: Sequence[Recording]) -> Answers:
 
 
 def fit_shift(studies: Sequence[Sequence[Answers]], labels: Sequence[str], most: Sequence[float]) -> float:
-    """Return what to add to the logit of `other`, so that held-out people lose few touches to it.
+    """Return what to add to the logit of `other`, so that few touches of held-out people become `other`.
 
-    studies: the answers about each study's people. most: the largest share of touches that each may lose.
+    studies: the answers about each study's people. most: the largest share of such touches for each study.
     """
     other, rest = labels.index(OTHER), labels.index(NO_TOUCH)
     shifts = []
@@ -76,7 +76,7 @@ def shifted(answers: Answers, labels: Sequence[str], shift: float) -> Answers:
 
 
 def fit_temperatures(answers: Sequence[Answers]) -> dict[int, float]:
-    """Return, for each length, the temperature under which the left-out labels are likeliest."""
+    """Return the temperature with the largest likelihood of the held-out labels, for each length."""
     return {length: fit_temperature(*_together(answers, length)) for length in LENGTHS}
 
 
@@ -86,13 +86,13 @@ def _together(answers: Sequence[Answers], length: int) -> tuple[Floats, Labels]:
 
 
 def modest(studies: Iterable[Mapping[int, float]]) -> dict[int, float]:
-    """Return the highest temperature of any study at each length, the cautious choice."""
+    """Return the highest temperature of any study at each length, which claims the least confidence."""
     fitted = list(studies)
     return {length: max(temperatures[length] for temperatures in fitted) for length in LENGTHS}
 
 
 def accuracies(answers: Sequence[Answers]) -> dict[str, float]:
-    """Return the macro accuracy over left-out participants at each length."""
+    """Return the macro accuracy over held-out participants at each length."""
     scores = {}
     for length in LENGTHS:
         logits, labels = _together(answers, length)
@@ -102,7 +102,7 @@ def accuracies(answers: Sequence[Answers]) -> dict[str, float]:
 
 
 def fit_temperature(logits: Floats, labels: Labels) -> float:
-    """Return the temperature from TEMPERATURES with the least negative log likelihood."""
+    """Return the temperature from TEMPERATURES with the smallest negative log likelihood."""
 
     def cross_entropy(temperature: float) -> float:
         likelihoods = log_softmax(logits / temperature, axis=1)[np.arange(len(labels)), labels]

@@ -1,4 +1,4 @@
-"""Checkpoints: a network with its origin and the state that resuming needs."""
+"""Checkpoints: a network, its provenance, and the state for resuming its training."""
 
 import zipfile
 from dataclasses import dataclass, fields, replace
@@ -29,8 +29,8 @@ class CheckpointError(TouchdError):
 class Checkpoint:
     """One training's state after `step` steps.
 
-    network: the averaged weights, the ones to use.
-    training: raw weights, optimizer and random states, to resume; empty in a file to use.
+    network: the averaged weights, for use.
+    training: raw weights, optimizer and random states, for resuming; empty in a shipped file.
     """
 
     settings: TrainSettings
@@ -42,14 +42,14 @@ class Checkpoint:
     data_sha256: str
 
     def shifted(self, label: str, shift: float) -> "Checkpoint":
-        """Return a copy that adds to a label's logit."""
+        """Return a copy with a shift added to a label's logit."""
         name = max(name for name in self.network if name.startswith("dense.") and name.endswith(".bias"))
         bias = self.network[name].clone()
         bias[self.labels.index(label)] += shift
         return replace(self, network={**self.network, name: bias})
 
     def build(self) -> TGC:
-        """Return the averaged network, ready to answer."""
+        """Return the averaged network in evaluation mode."""
         network = TGC(self.settings.network, len(self.labels))
         network.load_state_dict(self.network)
         return network.eval()
@@ -99,7 +99,7 @@ def restored(model: Path) -> Checkpoint:
 
 
 def _unfolded(tensor: Tensor, wanted: Tensor, network: TGC) -> Tensor | None:
-    """Return a weight of the shape `wanted` from what the exporter made of one; None if it is of another."""
+    """Undo what the exporter did to a weight of the shape of `wanted`; None if the tensor is another's."""
     planes = network.stem.plane_weights
     if tensor.dim() == 4 and tensor.shape[:2] == (wanted.shape[0], planes.shape[1]) and wanted.dim() == 4:
         return torch.einsum("otyx,tp->opyx", tensor.double(), torch.linalg.pinv(planes.double())).float()
@@ -111,7 +111,7 @@ def _unfolded(tensor: Tensor, wanted: Tensor, network: TGC) -> Tensor | None:
 
 
 def load(path: Path) -> Checkpoint:
-    """Read a checkpoint; no code in it is ever run. Raises CheckpointError."""
+    """Read a checkpoint without running any code in it. Raises CheckpointError."""
     try:
         with zipfile.ZipFile(path) as archive:
             unpacked = sum(entry.file_size for entry in archive.infolist())

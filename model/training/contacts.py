@@ -1,7 +1,7 @@
-"""Where a hand touches and leaves the pad within a recording. Does not import torch.
+"""Finds the contacts of a hand within a recording. Does not import torch.
 
 The studies recorded hands that repeat a gesture for eight seconds. A person who touches a robot in passing
-makes one or a few of those contacts, and then the hand is gone.
+makes one or a few of those contacts and leaves.
 """
 
 from collections.abc import Sequence
@@ -14,18 +14,18 @@ from touchd.drivers.recording import Recording, set_up
 
 LEAVES = ("pat", "stroke")
 """Gestures whose hand leaves the pad between two contacts."""
-# The lightest sixth of a second shows the rest of a pad that is touched again and again.
+# The lightest sixth of a second shows the rest of a pad that is touched repeatedly.
 LIGHTEST_FRAMES = 9
 MOST_SHIFTED_COUNTS = 8.0
 # Counts of each taxel that are noise.
 NOISE_COUNTS = 2.0
-# A contact lies above this share of the recording's strong contacts. A soft pad creeps back so slowly that it
-# stays above the first share while the hand is off.
+# A contact exceeds this share of the recording's 90th percentile of load. A soft pad creeps back so slowly
+# that it exceeds the first share while the hand is off.
 CONTACT_SHARE, SOFT_SHARE = 0.12, 0.35
 LEAST_COUNTS = 4.0
-# Shorter contacts are noise; shorter lift-offs belong to the contact.
+# A shorter contact is noise; a shorter lift-off is part of the contact.
 LEAST_FRAMES, LEAST_OFF_FRAMES = 2, 3
-# A stroke takes at least 0.3 s; a shorter contact in its recording is a slip.
+# A stroke takes at least 0.3 s; a shorter contact in a recording of strokes is a slip.
 LEAST_STROKE_FRAMES = 16
 
 Levels = NDArray[np.float32]
@@ -42,9 +42,9 @@ def lightest(counts: NDArray[np.generic]) -> Levels:
 
 
 def contacts(recording: Recording, *, is_soft: bool) -> list[tuple[int, int]]:
-    """Return the whole contacts of a pat or stroke as (first frame, frame after the last), in order.
+    """Return the complete contacts of a pat or stroke as (first frame, frame after the last), in order.
 
-    is_soft: whether the pad creeps back slowly. A contact that the recording cuts off is not whole.
+    is_soft: whether the pad creeps back slowly. Contacts at the ends of the recording are incomplete.
     """
     above = recording.counts - lightest(recording.counts) - NOISE_COUNTS
     level = np.maximum(above, 0.0).sum(axis=(1, 2))
@@ -66,13 +66,13 @@ def contacts(recording: Recording, *, is_soft: bool) -> list[tuple[int, int]]:
 
 
 def _runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return where a mask (T,) is true, as (first, one after the last)."""
+    """Return the runs of a mask (T,) as (first, one after the last)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
     return [(int(first), int(stop)) for first, stop in edges.reshape(-1, 2)]
 
 
 def rests_of(recordings: Sequence[Recording]) -> list[list[int]]:
-    """Return, for each recording, which ones show its pad at rest: of its set-up, else of its person."""
+    """Return, for each recording, the indices of those of its pad at rest: of its set-up, else its person."""
     of_set_up: dict[object, list[int]] = {}
     of_person: dict[str, list[int]] = {}
     for i, recording in enumerate(recordings):

@@ -1,4 +1,4 @@
-"""What pads of other kinds would have read of a touch: softer and coarser ones, and ones without noise."""
+"""Simulates how other kinds of pads would read a touch: softer and coarser ones, and ones without noise."""
 
 import torch
 from torch import Tensor
@@ -34,7 +34,7 @@ def _coarse(device: torch.device) -> Tensor:
 
 
 def _creep(x: Tensor, settings: TrainAugmentation, rng: torch.Generator) -> Tensor:
-    """Return (B, T, 8, 8) followed by one pole, whose time constant differs for rise and fall."""
+    """Return (B, T, 8, 8) after a one-pole low-pass filter, with time constants for rise and fall."""
     rise_s, fall_s = uniform_of(rng, 2, len(x), 1, 1) ** 2
     rise = 1.0 - torch.exp(-1.0 / (FRAME_RATE_HZ * settings.rise_s * rise_s + 1e-3))
     fall = 1.0 - torch.exp(-1.0 / (FRAME_RATE_HZ * settings.fall_s * fall_s + 1e-3))

@@ -1,7 +1,7 @@
-"""Windows of touches in passing: a hand comes, makes one or a few contacts, and goes; then the pad rests.
+"""Windows of touches in passing: a hand makes one or a few contacts and leaves; then the pad rests.
 
-The recordings show hands that repeat a gesture without a pause. A window is made of a piece of one: whole
-contacts of a pat or stroke, or a part of another gesture; with rest of the same pad before and after.
+The recordings show hands that repeat a gesture without a pause. A window is made from a part of one: complete
+contacts of a pat or stroke, or a piece of another gesture, with rest of the same pad before and after.
 """
 
 from collections.abc import Sequence
@@ -17,29 +17,29 @@ from touchd.drivers.recording import Recording
 from touchd.model.adapt.augment import Frames
 from touchd.model.training.contacts import LEAVES, contacts, rests_of, shift_of_rest
 
-# A piece of a gesture without lift-offs lasts 0.3 to 2.2 s, as do several contacts together.
+# A piece of a gesture without lift-offs, or several contacts together, last 0.3 to 2.2 s.
 LEAST_FRAMES, MOST_FRAMES = 16, 118
-# The tracker dates a touch up to three frames too early or two too late.
+# A touch's first frame, as tracked, is up to three frames too early or two too late.
 EARLIEST_FRAMES, LATEST_FRAMES = 3, 2
-# A hand comes and goes within this many frames; from a soft pad, which creeps back, it seems to go slowly.
+# The load rises and falls within this many frames; a soft pad creeps back, so its load falls more slowly.
 FADE_FRAMES, SOFT_FADE_FRAMES = 4.0, 24.0
-# A touch that is over is answered about 13 frames after its last contact.
+# An ended touch is answered about 13 frames after its last contact.
 ANSWERED_FRAMES = (9, 20)
-# Nothing is asked about a touch when its hand has been off for a second.
+# Answers have no weight from a second after the last contact on.
 FORGOTTEN_FRAMES = 54
 PACE = 0.2
-# How many contacts a touch has: this many more than one at most, few more often than many.
+# The most contacts of a touch beyond the first; few are drawn more often than many.
 MORE_CONTACTS = {"pat": 6, "stroke": 3, OTHER: 4}
 
 
 @dataclass(frozen=True, eq=False)
 class Passing:
-    """Tables by recording, to make such windows on one device.
+    """Tables by recording, from which such windows are made on one device.
 
-    starts, stops: (R, most) frames of whole contacts. contacts: (R,) how many; 0: the gesture has none.
-    more: (R,) how many more than one a touch may have. touches: (R,) bool, False at rest and where no rest is
-    known. rests, rest_counts: (R, most), (R,) recordings at rest. shifts: (R, 8, 8) counts of the rest.
-    soft: (R,) bool.
+    starts, stops: (R, most) frames of complete contacts. contacts: (R,) how many; 0: the gesture has none.
+    more: (R,) the most contacts beyond the first. touches: (R,) bool, False at rest and where no rest is
+    known. rests, rest_counts: (R, most), (R,) recordings at rest. shifts: (R, 8, 8) counts by which a touch
+    shifts the rest. soft: (R,) bool.
     """
 
     starts: Tensor
@@ -89,7 +89,7 @@ class Passing:
         """Replace a share of the windows (B, T, 8, 8) of touches by touches in passing.
 
         lengths: (B, K) frames after which windows are answered. Returns windows; lengths (B, K + 1), the last
-        one at the touch's end; and weights of the answers in the loss, (B, K + 1).
+        one after the touch's end; and weights of the answers in the loss, (B, K + 1).
         """
         B, T = windows.shape[:2]
         is_passing = (torch.rand(B, generator=rng, device=rng.device) < share) & self.touches[chosen]

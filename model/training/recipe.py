@@ -1,4 +1,4 @@
-"""The recipe: which networks are trained, on whom, and in which order.
+"""Recipes: which networks are trained, and on whom.
 
 For the shipped file: one network per seed, on all training participants. For unbiased figures on them: one
 per fold, which never sees the fold's participants. For the figure on an unknown pad: one without a study.
@@ -15,10 +15,8 @@ from touchd.drivers.errors import TouchdError
 from touchd.model.training.settings import Shares, Study, TrainSettings
 
 SHIPPED_RECIPE = Path(__file__).parent / "recipe.yaml"
-BASE_RECIPE = Path(__file__).parent / "base.yaml"
-"""Recipe of the networks that PASSING_RECIPE's begin from."""
 PASSING_RECIPE = Path(__file__).parent / "passing.yaml"
-"""Recipe of the networks that the shipped recipe's begin from."""
+"""Recipe of the networks that the shipped recipe's begin from; these begin from those of base.yaml."""
 HAART_RECIPE = Path(__file__).parent / "haart.yaml"
 """Recipe of the network from HAART alone, for the comparison with the paper."""
 WIDE_RECIPE = Path(__file__).parent / "haart-wide.yaml"
@@ -40,18 +38,18 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Seeds of the networks on all training participants; the first network ships."""
     settings: TrainSettings
     left_out_study: Literal["third"] | None = None
-    """A study that one network leaves out whole, for the figure of a pad never met."""
+    """A study that one network does not learn from, for the figure of a pad never met."""
     most_lost: Shares | None = None
-    """The largest share of held-out people's touches that may be answered `other`: sets its logit."""
+    """The largest share of held-out people's touches that may be answered `other`; sets its logit."""
     begins_from: str | None = None
-    """Name of the recipe whose trained networks these ones begin from; None: from random weights."""
+    """Name of the recipe whose networks the training begins from; None: from random weights."""
     keeps: float = 0.0
-    """Share of the weights begun from in those that ship (Wortsman et al. 2022): what was learnt is kept."""
+    """Share of those networks' weights in the ones that ship, to keep their skill (Wortsman et al. 2022)."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """One network to train: its folder, its settings, and the folder of the one that it keeps a share of."""
+    """One network to train: its folder, its settings, and the folder of the network that it begins from."""
 
     name: str
     settings: TrainSettings

@@ -1,4 +1,4 @@
-"""Statistics of a network's training recordings, which stand for other people during adaptation."""
+"""Computes the statistics of training recordings that stand for other people during adaptation."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -18,37 +18,38 @@ class Shares(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Refinement(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A training of the upper layers alone, on windows that are drawn once, some of none of the gestures.
+    """A training of the upper layers only, on windows that are drawn once. It adds the label `other`.
 
-    Shares are of all windows; `unknown` is the same on every pad, so that the pad does not tell the answer.
+    `unknown`, `slow`, `changed` and `both` are shares of all windows; the rest are plain touches. `unknown`
+    is the same on every pad, so that the pad does not predict the answer.
     """
 
     runs: int = 2
-    """Trainings of which the weights are averaged."""
+    """Number of trainings; their weights are averaged."""
     windows: int = 3072
-    """How many are drawn for each."""
+    """Windows drawn for each training."""
     unknown: float = 0.28
-    """None of the gestures."""
+    """Touches that are none of the gestures."""
     real: float = 0.65
-    """Share of those on the third study's pad that were recorded; the others are made."""
+    """Share of these on the third study's pad that were recorded; the others are simulated."""
     shuffled: float = 0.12
-    """Share of the made ones that are recordings whose blocks are shuffled."""
+    """Share of the simulated ones that are recordings with shuffled blocks."""
     slow: float = 0.08
-    """Strokes at a quarter of their speed and more."""
+    """Strokes at a quarter of their speed or more."""
     changed: float = 0.06
-    """The hand changes its gesture: the newest one counts."""
+    """The hand changes its gesture; from then on the new one is the label."""
     both: float = 0.03
-    """Two hands at once: one of the two is right."""
+    """Two hands at once; each of the two gestures is half of the label."""
     sharpened: float = 0.4
     """Share of the third study's windows that are changed to what a fabric pad would have read."""
     taught: float = 0.5
-    """Share of the network begun from in what is to be answered about the known gestures."""
+    """Share of the first network's answers in the targets of known gestures (distillation)."""
     steady: float = 2.0
-    """Weight of how far answers about mixed windows move from those of the network begun from."""
+    """Weight of the divergence from the first network's answers about mixed windows."""
 
 
 class TrainAugmentation(AugmentationSettings, frozen=True, forbid_unknown_fields=True):
-    """What training varies too; adapting does not, as a lab's own recordings show its pad."""
+    """Augmentation that only training uses: when adapting, a lab's own recordings show its pad."""
 
     another_pad: float = 0.0
     """Share of a fabric pad's windows that are changed to what another kind of pad would have read."""
@@ -61,15 +62,15 @@ class TrainAugmentation(AugmentationSettings, frozen=True, forbid_unknown_fields
     quiet: float = 0.0
     """Share of a fabric pad's windows that are changed to what a pad without noise would have read."""
     quiet_counts: float = 8.0
-    """The most that is taken off their counts, as noise."""
+    """The most counts that are subtracted from them, as noise."""
     quiet_frames: int = 8
     """The most frames over which they are averaged."""
     mix: float = 0.0
-    """Share of windows into which up to half of another is mixed, label and all (mixup, Zhang 2018)."""
+    """Share of windows into which up to half of another one and its label is mixed (mixup, Zhang 2018)."""
 
 
 class TrainSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Everything that determines a training's result, apart from data, code, and the networks beside it."""
+    """Everything that determines a training's result except data, code and the networks trained with it."""
 
     name: str = "touchd"
     seed: int = 0
@@ -85,11 +86,11 @@ class TrainSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     weight_decay: float = 0.05
     label_smoothing: float = 0.05
     average_decay: float = 0.995
-    """Of the exponential moving average of the weights, which is the network that is kept."""
+    """Decay of the exponential moving average of the weights, which is the resulting network."""
     shares: Shares | None = None
     """Of the studies; each person of a study is drawn equally often. None: each recording equally often."""
     passing: float = 0.0
-    """Share of the windows of touches that show a touch in passing: the hand comes, and is gone again."""
+    """Share of the windows of touches that show a touch in passing."""
     bfloat16: bool = False
     """Whether the layers compute in bfloat16 while training, where the device has instructions for it."""
     refined: Refinement | None = None

@@ -1,4 +1,4 @@
-"""From a recipe to the shipped files: train what is missing, calibrate, export."""
+"""Makes the shipped files from a recipe: trains what is missing, calibrates, exports."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -31,9 +31,9 @@ from touchd.model.training.weights import FABRIC_MODEL, LEFT_OUT_FOLDER, SEEDS_F
 MAX_LENGTH = 432
 """The longest window, in frames, that an exported file takes."""
 REMEMBERED_CROPS = 3
-"""Crops of each recording that the rehearsal statistics are computed from."""
+"""Crops of each recording from which the rehearsal statistics are computed."""
 REMEMBERED_MADE = 96
-"""Made touches that are none of the gestures, of each fabric study, in the same statistics."""
+"""Simulated touches that are none of the gestures, per fabric study, in the same statistics."""
 
 
 def train_recipe(
@@ -42,7 +42,7 @@ def train_recipe(
     """Train every network of the recipe that is not finished in `runs` yet.
 
     On a GPU, networks at the same step train side by side; on a CPU, one after another.
-    begin_from: a folder of model files to begin from, if the networks to begin from are not in `runs`.
+    begin_from: a folder of model files to begin from, for networks that are not in `runs`.
     """
     torch.set_num_threads(threads)
     if recipe.settings.refined is not None:
@@ -96,8 +96,8 @@ def _saved(job: Job, runs: Path) -> Checkpoint:
 class Trained:
     """A recipe's networks with what their export needs.
 
-    learnt: recordings by study. folds: the networks that held people out. answers: of each fold, about its
-    own people of each study.
+    learnt: recordings by study. folds: the networks that held people out. answers: of each fold, about the
+    people of each study whom it held out.
     """
 
     recipe: Recipe
@@ -109,7 +109,7 @@ class Trained:
 
     @classmethod
     def of(cls, recipe: Recipe, folders: Folders, runs: Path) -> "Trained":
-        """Load the folds and ask them; raises CheckpointError if a training has not ended."""
+        """Load the folds and compute their answers; raises CheckpointError if a training has not ended."""
         scored = folders.to_score_on(recipe.settings.studies)
         folds = [finished(job, runs) for job in fold_jobs(recipe)]
         return cls(
@@ -124,13 +124,13 @@ class Trained:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Temperatures, and what is added to the logit of `other`; fitted on people held out."""
+    """Temperatures, and a shift of the logit of `other`; fitted on held-out people."""
 
     temperatures: dict[int, float]
     shift: float = 0.0
 
     def of(self, saved: Checkpoint) -> Checkpoint:
-        """Return a network with the shift."""
+        """Return a network with the shift applied."""
         return saved.shifted(OTHER, self.shift) if self.shift else saved
 
 
@@ -217,7 +217,7 @@ def remember(saved: Checkpoint, folders: Folders) -> Remembered:
 
 
 def _others(saved: Checkpoint, folders: Folders, study: Study) -> list[Recording]:
-    """Return a study's touches that are none of the gestures: recorded, or on fabric made."""
+    """Return a study's touches that are none of the gestures: recorded, or simulated for a fabric pad."""
     if OTHER not in saved.labels:
         return []
     if study == "third":
@@ -231,7 +231,7 @@ def _others(saved: Checkpoint, folders: Folders, study: Study) -> list[Recording
 def _calibrated(
     recipe: Recipe, answers: Sequence[Sequence[calibrate.Answers]], met: Sequence[bool] | None = None
 ) -> Calibration:
-    """Return the calibration from each fold's answers, one entry per study; without folds there is none.
+    """Return the calibration from each fold's answers, one entry per study; the identity without folds.
 
     met: which of the recipe's studies the answers are about; None: all.
     """
@@ -300,7 +300,7 @@ def finished(job: Job, runs: Path) -> Checkpoint:
         raise checkpoint.CheckpointError(
             f"{runs / job.name}: stopped after step {saved.step}; run `train` again"
         )
-    # What is refined has been saved with its share.
+    # A refined network has been saved with its share.
     if job.begins_from is None or not job.keeps or job.settings.refined is not None:
         return saved
     first = checkpoint.load(runs / job.begins_from / CHECKPOINT_NAME).network

@@ -11,7 +11,7 @@ from touchd.model.tgc import TGC, EncoderBlock, GatedConvolution
 
 Layer = TypeVar("Layer", bound=nn.Module)
 
-# Attention drops a frame once even its flattest slope, 2^-8 a frame, gives it less than this share of the
+# Attention drops a frame once even the flattest slope, 2^-8 a frame, gives it less than this share of the
 # newest frame's weight.
 FORGOTTEN_WEIGHT = 1e-8
 MEMORY_FRAMES = math.ceil(-math.log(FORGOTTEN_WEIGHT) * 2**8)
@@ -20,9 +20,9 @@ MEMORY_FRAMES = math.ceil(-math.log(FORGOTTEN_WEIGHT) * 2**8)
 class TGCState(NamedTuple):
     """The network's state after some frames; its size is bounded.
 
-    B is the batch; a state of one touch, such as the initial one, may precede a whole batch of windows.
+    B is the batch size; a state of one touch, such as the initial one, may precede a batch of windows.
     level: (B, past, 8, 8) levels of the last frames that the stem sees. motion: (B, past, width) last
-    inputs of the gated convolutions, one after another. memory: keys and values of each encoder block,
+    inputs of the gated convolutions, concatenated. memory: keys and values of each encoder block,
     (B, 2 * heads, M, width / heads), M at most MEMORY_FRAMES. sums: (B, 2 * width) float64, of each
     feature and of its square. highest: (B, width), each feature's maximum. frames: (1,) int64, their
     number.
@@ -69,7 +69,7 @@ def step(network: TGC, counts: Tensor, state: TGCState) -> tuple[Tensor, TGCStat
         key_value = torch.cat([memory.expand(x.shape[0], -1, -1, -1), new], dim=2)
         x = block.attend(x, query, key_value)
         memories.append(key_value[:, :, -MEMORY_FRAMES:])
-    # In float64 one frame still changes sums over hours, and the variance computed from them is exact enough.
+    # In float64, a frame still changes the sums after hours, and their variance is exact enough.
     exact = x.double()
     sums = state.sums + torch.cat([exact, exact * exact], dim=-1).sum(dim=1)
     highest = torch.maximum(state.highest, x.amax(dim=1))

@@ -1,7 +1,7 @@
-"""Training: networks of one shape learn side by side, each from its own people; resumable.
+"""Trains networks of one shape in parallel, each on its own people; resumable.
 
 A GPU trains several networks in hardly more time than one. So their weights are stacked, with the network as
-the first dimension, and one step of all is recorded as a CUDA graph.
+the first dimension, and one step of all networks is recorded as a CUDA graph.
 """
 
 import time
@@ -29,7 +29,7 @@ from touchd.model.training.windows import WindowSampler, learns
 CHECKPOINT_NAME = "checkpoint.pt"
 SOURCES = ("contacts.py", "haart.py", "passing.py", "settings.py", "train.py", "windows.py")
 SAVED_EVERY_S = 60.0
-# PyTorch asks for some steps before one is recorded (CUDA semantics, "CUDA graphs").
+# PyTorch requires some steps before one is recorded (CUDA semantics, "CUDA graphs").
 STEPS_BEFORE_GRAPH = 3
 MOMENTS = ("exp_avg", "exp_avg_sq")
 Weights = dict[str, Tensor]
@@ -59,7 +59,7 @@ class Training:
         self, recordings: Sequence[Recording], settings: Sequence[TrainSettings], device: str
     ) -> None:
         if len({_shared(each) for each in settings}) != 1:
-            raise ValueError("only networks of one shape and schedule train side by side")
+            raise ValueError("only networks of one shape and schedule train in parallel")
         if any(len(recording.counts) <= settings[0].window for recording in recordings):
             raise ValueError(f"a recording is no longer than a window, {settings[0].window} frames")
         self.recordings = recordings
@@ -76,7 +76,7 @@ class Training:
         self.weights = _first_weights(settings, len(self.labels), device)
         self.average = {name: weights.detach().clone() for name, weights in self.weights.items()}
         base = AtLengths(TGC(self.settings.network, len(self.labels))).to(device)
-        self._ask = torch.compile(at_once(base)) if device == "cuda" else in_turn(base)
+        self._ask = torch.compile(vectorized(base)) if device == "cuda" else sequential(base)
         self._bfloat16 = self.settings.bfloat16 and computes_bfloat16(device)
         self.rate = torch.zeros((), device=device)
         self.follow = torch.zeros((), device=device)
@@ -96,7 +96,7 @@ class Training:
         """Train all networks for a number of steps."""
         for _ in range(steps):
             self.rate.fill_(learning_rate_at(self.step, self.settings.steps, self.settings.learning_rate))
-            # The average would remember the start, so it follows fast at first.
+            # The average follows fast at first, so that it forgets the initial weights.
             self.follow.fill_(1.0 - min(self.settings.average_decay, (self.step + 1) / (self.step + 10)))
             self._take_step()
             self.step += 1
@@ -250,7 +250,7 @@ def train(recordings: Sequence[Recording], jobs: Sequence[Job], runs: Path, devi
 
 
 def _begun(training: Training, jobs: Sequence[Job], runs: Path, paths: Sequence[Path]) -> Training:
-    """Let a training go on where it was saved, if it was, or begin from other networks."""
+    """Resume a training if it was saved, or begin from other networks."""
     if any(path.exists() for path in paths):
         training.resume([checkpoint.load(path) for path in paths])
     elif jobs[0].begins_from is not None:
@@ -259,8 +259,8 @@ def _begun(training: Training, jobs: Sequence[Job], runs: Path, paths: Sequence[
     return training
 
 
-def at_once(network: nn.Module) -> Ask:
-    """Return what asks stacked networks in one pass, as suits a GPU."""
+def vectorized(network: nn.Module) -> Ask:
+    """Return a vmapped forward of stacked networks, for a GPU."""
 
     def ask(weights: Weights, windows: Tensor, lengths: Tensor) -> Tensor:
         return functional_call(network, weights, (windows, lengths))  # type: ignore[no-any-return]
@@ -268,8 +268,8 @@ def at_once(network: nn.Module) -> Ask:
     return vmap(ask, randomness="different")
 
 
-def in_turn(network: nn.Module) -> Ask:
-    """Return what asks stacked networks one after the other."""
+def sequential(network: nn.Module) -> Ask:
+    """Return a forward that calls stacked networks one after the other."""
 
     def ask(weights: Weights, windows: Tensor, lengths: Tensor) -> Tensor:
         each = ({name: values[place] for name, values in weights.items()} for place in range(len(windows)))
@@ -280,15 +280,15 @@ def in_turn(network: nn.Module) -> Ask:
 
 
 def _shared(settings: TrainSettings) -> TrainSettings:
-    """Return the settings that networks side by side have in common."""
+    """Return the settings that networks trained in parallel must have in common."""
     return msgspec.structs.replace(settings, name="", seed=0, left_out=(), studies=())
 
 
 def computes_bfloat16(device: str) -> bool:
-    """Whether a device has instructions for bfloat16; without, a step takes ten times as long."""
+    """Whether a device has instructions for bfloat16; without them, a step takes ten times as long."""
     if device == "cuda":
         return bool(torch.cuda.is_bf16_supported(including_emulation=False))
-    # Older releases of PyTorch do not say.
+    # Older releases of PyTorch lack the function.
     has: dict[str, object] = getattr(torch.cpu, "get_capabilities", dict)()
     return bool(has.get("avx512_bf16") or has.get("amx_bf16"))
 

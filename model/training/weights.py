@@ -8,7 +8,7 @@ from touchd.model.classifier import SHIPPED_MODEL, Classifier
 from touchd.model.training import haart
 
 HAART_MODEL = SHIPPED_MODEL.parent / "haart" / SHIPPED_MODEL.name
-"""touchd-1, which learnt from HAART's training participants alone, as the paper's network did."""
+"""touchd-1, trained on HAART's training participants only, as the paper's network."""
 WIDE_MODEL = HAART_MODEL.with_name("wide.onnx")
 """The same with wide augmentation, for the figure across studies."""
 FABRIC_MODEL = SHIPPED_MODEL.with_name("fabric.onnx")

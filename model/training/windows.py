@@ -1,4 +1,4 @@
-"""The windows that networks in training see: drawn from their own people's recordings, varied, mixed."""
+"""Draws the windows of a training from its own people's recordings, and varies and mixes them."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from touchd.model.training.studies import MISSING, study_of
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """What one step learns from, for N networks.
+    """The data of one training step, for N networks.
 
     windows: (N, B, T, 8, 8) counts. targets: (N, B, classes). possible: (N, B, classes) bool, the answers
     that the loss compares. lengths: (N, B, K) frames after which each window is answered. weights: the same
@@ -35,7 +35,7 @@ class Batch:
 
 
 class WindowSampler:
-    """Draws batches for networks that train side by side; settings: one a network."""
+    """Draws batches for networks that train in parallel. settings: of each network."""
 
     def __init__(
         self, recordings: Sequence[Recording], settings: Sequence[TrainSettings], device: str
@@ -57,7 +57,7 @@ class WindowSampler:
         self.rests, self.rest_counts = (table.to(device) for table in self._rests())
         self.passing = Passing.of(recordings, self.soft.tolist(), device) if self.settings.passing else None
         self.lengths = torch.tensor(self.settings.lengths, device=device)
-        # Dropout draws from the device's own generator, so that everything else does too.
+        # The generator of dropout too: the device's own.
         self.rng = torch.cuda.default_generators[0] if device == "cuda" else torch.default_generator
 
     def draw(self) -> Batch:
@@ -87,14 +87,14 @@ class WindowSampler:
         return Batch(windows, targets, self.possible(targets, soft), lengths, weights)
 
     def _drawn(self, own: TrainSettings) -> Tensor:
-        """Return (R,), the cumulative probability with which a network's windows are cut from a recording."""
+        """Return (R,), the cumulative probability with which a network draws windows from each recording."""
         shares = shares_of(self.recordings, own)
         until = (shares.cumsum(0) / shares.sum()).float()
         # Nothing is drawn after the last recording, whatever the rounding.
         return torch.where(until >= until[-1], 2.0, until)
 
     def _rests(self) -> tuple[Tensor, Tensor]:
-        """Return (R, most) and (R,): the recordings at rest of each one's participant; how many there are."""
+        """Return (R, most), (R,): of each recording, its participant's recordings at rest; their number."""
         resting: dict[str, list[int]] = {recording.participant: [] for recording in self.recordings}
         for i, recording in enumerate(self.recordings):
             if recording.gesture == NO_TOUCH:
@@ -106,7 +106,7 @@ class WindowSampler:
     def _mix(self, windows: Tensor, targets: Tensor, soft: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Blend some windows (N, B, T, 8, 8) with others, on the scale that the network sees.
 
-        soft: (N, B) bool, whether a window of the third study's pad takes part.
+        soft: (N, B) bool, whether a window is of the third study's pad.
         """
         share, chance, order = torch.rand(3, *soft.shape, generator=self.rng, device=self.rng.device)
         share = 0.5 * share * (chance < self.settings.augmentation.mix)
@@ -121,14 +121,14 @@ class WindowSampler:
     def possible(self, targets: Tensor, soft: Tensor) -> Tensor:
         """Return (N, B, classes) bool, the answers that the loss compares: the third study has no tickle.
 
-        Without this, "tickle" would become evidence for the other studies' pad.
+        Otherwise, the network would learn that "tickle" means the other studies' pad.
         """
         possible: Tensor = ~(soft[..., None] & self.missing) | (targets > 0)
         return possible
 
 
 def shares_of(recordings: Sequence[Recording], own: TrainSettings) -> Tensor:
-    """Return (R,), how often a network's windows are cut from each recording, relative to one another."""
+    """Return (R,), the relative frequency with which a network draws windows from each recording."""
     recorded = Counter(each.participant for each in recordings if learns(own, each))
     people = Counter(study_of(participant) for participant in recorded)
 

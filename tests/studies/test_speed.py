@@ -10,7 +10,7 @@ pytest.importorskip("onnx", reason="needs the extra `train`")
 from touchd.model.classifier import SHIPPED_MODEL, Classifier
 from touchd.model.settings import LENGTHS
 from touchd.model.studies import speed
-from touchd.model.studies.checks.timing import IN_A_ROW, time_in_turn
+from touchd.model.studies.checks.timing import IN_A_ROW, time_interleaved
 from touchd.model.studies.paper_network import PaperSettings
 from touchd.model.studies.speed import NEXT_FRAME, WINDOW, Asked, Measured, Speed
 
@@ -56,8 +56,8 @@ def test_every_network_of_the_table_is_asked(tmp_path: Path) -> None:
     assert all(isinstance(each, Asked) and each.answer() is not None for each in asked)
 
 
-def test_all_are_asked_in_turn_until_each_has_answered() -> None:
+def test_all_are_called_in_rotation_until_each_has_answered() -> None:
     asked: list[str] = []
-    times = time_in_turn([lambda: asked.append("ours"), lambda: asked.append("theirs")], IN_A_ROW + 3)
+    times = time_interleaved([lambda: asked.append("ours"), lambda: asked.append("theirs")], IN_A_ROW + 3)
     assert asked == ["ours"] * IN_A_ROW + ["theirs"] * IN_A_ROW + ["ours"] * 3 + ["theirs"] * 3
     assert len(times) == 2

@@ -28,7 +28,15 @@ from touchd.model.training.settings import Shares, Study, TrainSettings
 from touchd.model.training.ship import finished as finished_training
 from touchd.model.training.ship import train_recipe
 from touchd.model.training.studies import Folders, study_of
-from touchd.model.training.train import CHECKPOINT_NAME, Ask, AtLengths, Training, at_once, in_turn, train
+from touchd.model.training.train import (
+    CHECKPOINT_NAME,
+    Ask,
+    AtLengths,
+    Training,
+    sequential,
+    train,
+    vectorized,
+)
 from touchd.model.training.weights import HAART_MODEL
 from touchd.model.training.windows import WindowSampler
 
@@ -103,7 +111,7 @@ def test_each_of_several_networks_learns_from_its_own_people() -> None:
     assert drawn == [{"P3", "S03"}, {"P3", "P4", "S03"}, {"P3", "P4"}]
 
 
-@pytest.mark.parametrize("way", [at_once, in_turn])
+@pytest.mark.parametrize("way", [vectorized, sequential])
 def test_a_network_side_by_side_answers_as_it_does_alone(way: Callable[[nn.Module], Ask]) -> None:
     still = [msgspec.structs.replace(each, network=CALM) for each in SIDE_BY_SIDE]
     training = Training(recordings(PEOPLE), still, DEVICE)

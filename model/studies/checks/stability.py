@@ -25,7 +25,7 @@ from rich.table import Table
 
 from touchd.model.classifier import SHIPPED_MODEL, Classifier, load_own
 from touchd.model.studies.checks.hard_cases import FRAMES, checkerboard, hand, hard_cases, tiny
-from touchd.model.studies.checks.timing import time_in_turn
+from touchd.model.studies.checks.timing import time_interleaved
 from touchd.model.studies.simulated import simulate
 
 if TYPE_CHECKING:
@@ -159,7 +159,7 @@ def stream(classifier: Classifier, reference: Reference, minutes: int) -> Iterat
 def slowdown(classifier: Classifier, window: NDArray[np.float32], usual: NDArray[np.float32]) -> float:
     """Return the processor time of an answer on `window` as a multiple of that on `usual`."""
     asked = [partial(classifier.probabilities, each) for each in (window, usual)]
-    slow, normal = time_in_turn(asked, TIMED_ANSWERS)
+    slow, normal = time_interleaved(asked, TIMED_ANSWERS)
     return slow / normal
 
 
