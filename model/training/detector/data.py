@@ -1,4 +1,4 @@
-"""The recordings that the detector learns from, without the people who are held out."""
+"""Reads the recordings that the detector learns from, without those of held-out people."""
 
 import csv
 from collections.abc import Collection
@@ -19,7 +19,7 @@ STREAMS = "streams.csv"
 
 
 def composer(folders: Folders, settings: DetectorSettings) -> Composer:
-    """Return what composes pieces of everybody whom these settings do not hold out."""
+    """Return the composer of pieces for everybody whom the settings do not hold out."""
     by_study: list[list[SetUp]] = []
     for study in ("haart", "second", "third"):
         if study != settings.left_out_study:
@@ -32,7 +32,7 @@ def composer(folders: Folders, settings: DetectorSettings) -> Composer:
 
 
 def uncut(folder: Path, left_out: Collection[str]) -> list[Streamed]:
-    """Return the third study's uncut recordings of everybody else, on the 54 Hz grid."""
+    """Return the third study's uncut recordings on the 54 Hz grid, without those of held-out people."""
     layout = Layout(third_study.PAD)
     found = []
     with open_table(folder, STREAMS, "name its folder: --third-study") as file:

@@ -1,7 +1,7 @@
-"""What happens to a pad besides touches, each as a function of its own with its physics.
+"""Simulates other pads, and what disturbs a pad besides touches: one function for each, with its physics.
 
-Every function takes (T, 8, 8) counts and a random generator, and returns counts. All of them leave it open
-whether a hand is there: they happen to a touched pad as to an untouched one.
+Every function takes (T, 8, 8) counts and a random generator, and returns counts. Pads are disturbed equally
+with and without a hand, so a disturbance does not predict one.
 """
 
 from collections.abc import Callable
@@ -26,7 +26,7 @@ def read_by_another_pad(counts: Scans, rng: Rng) -> Scans:
 
 
 def disturbed(counts: Scans, rng: Rng) -> Scans:
-    """Return counts with some of what happens to a pad."""
+    """Return counts with some of the disturbances."""
     for probability, change in DISTURBANCES:
         if rng.random() < probability:
             counts = change(counts, rng)
@@ -40,7 +40,7 @@ def _turned(counts: Scans, rng: Rng) -> Scans:
 
 
 def _gained(counts: Scans, rng: Rng) -> Scans:
-    """Amplifier and hand: mostly within a factor of two, sometimes within a factor of ten."""
+    """Another gain of amplifier and hand: mostly within a factor of two, sometimes within a factor of ten."""
     spread = 0.35 if rng.random() < 0.8 else 1.1
     gain = np.exp(np.clip(spread * rng.normal(), -2.3, 1.8))
     return _as_scans(counts * gain * np.exp(0.1 * rng.normal(size=(ROWS, COLUMNS))))
@@ -71,7 +71,7 @@ def _linear(side: int) -> Scans:
 
 
 def _softer(counts: Scans, rng: Rng) -> Scans:
-    """Silicone creeps: each taxel follows with one time constant up and another, longer, down."""
+    """Silicone creeps: each taxel follows with one time constant up, and a longer one down."""
     rise_s, fall_s = 0.15 * rng.random() ** 2, 1.2 * rng.random() ** 2
     rise, fall = (1.0 - np.exp(-1.0 / (FRAME_RATE_HZ * each + 1e-3)) for each in (rise_s, fall_s))
     followed = np.empty_like(counts)
@@ -94,13 +94,13 @@ def _slower(counts: Scans, rng: Rng) -> Scans:
 
 
 def _noise(counts: Scans, rng: Rng) -> Scans:
-    """Converter noise: of each taxel its own, from some time on."""
+    """Converter noise, of a different level in each taxel, from some time on."""
     deviation = rng.uniform(0.0, 2.2) * np.exp(0.4 * rng.normal(size=(ROWS, COLUMNS)))
     return _as_scans(counts + _from_some_time(rng, len(counts)) * deviation * rng.normal(size=counts.shape))
 
 
 def _tone(low_hz: float, high_hz: float, most_counts: float, *, is_common: bool) -> Disturbance:
-    """Mains hum (at 4 Hz once sampled), a motor, a body that breathes: a sine, weighted by taxel or not."""
+    """Mains hum (4 Hz once sampled), a motor, a body that breathes: a sine, with or without taxel weights."""
 
     def added(counts: Scans, rng: Rng) -> Scans:
         at_s = np.arange(len(counts))[:, None, None] / FRAME_RATE_HZ
@@ -117,7 +117,7 @@ def _tone(low_hz: float, high_hz: float, most_counts: float, *, is_common: bool)
 
 
 def _drift(counts: Scans, rng: Rng) -> Scans:
-    """Warmth and supply: rest moves by up to a count a second, as a field."""
+    """Temperature and supply: rest drifts by up to a count a second, varying over the pad."""
     at_s = np.arange(len(counts))[:, None, None] / FRAME_RATE_HZ
     return _as_scans(counts + rng.uniform(-1.0, 1.0) * at_s * (0.5 + 0.5 * np.abs(_field(rng))))
 
@@ -158,7 +158,7 @@ def _spikes(counts: Scans, rng: Rng) -> Scans:
 
 
 def _high_rest(counts: Scans, rng: Rng) -> Scans:
-    """A pad that rests far from 0, each taxel elsewhere."""
+    """A pad that rests far from 0, at a different level in each taxel."""
     return _as_scans(counts + rng.uniform(0, 200) * rng.uniform(0.3, 1.7, (ROWS, COLUMNS)))
 
 
@@ -171,7 +171,7 @@ def _dead_taxels(counts: Scans, rng: Rng) -> Scans:
 
 
 def _load(counts: Scans, rng: Rng) -> Scans:
-    """A thing lay on the pad before touchd began: it adds noise, and may be taken away."""
+    """An object has lain on the pad from the start: it adds noise, and may be removed."""
     field = np.maximum(_field(rng), 0.0) * np.exp(rng.uniform(np.log(10.0), np.log(300.0)))
     is_there = np.ones(len(counts))
     if rng.random() < 0.4:

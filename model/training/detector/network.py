@@ -5,11 +5,11 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from touchd.drivers.frame import COLUMNS, ROWS
-from touchd.model.training.detector.signals import CHANNELS, TOTALS, Pad, follow, look
+from touchd.model.training.detector.signals import CHANNELS, TOTALS, Pad, follow, inputs
 
 
 class DetectorNetwork(nn.Module):
-    """From signals to the probability that a hand is on the pad in this frame; 11 thousand weights."""
+    """Maps `signals.inputs` to the probability that a hand is on the pad in a frame; 11 thousand weights."""
 
     def __init__(self, first: int = 12, second: int = 24, memory: int = 32) -> None:
         super().__init__()
@@ -45,11 +45,11 @@ class DetectorNetwork(nn.Module):
         return new + z * (hidden - new)
 
     def step(self, counts: Tensor, pad: Pad, hidden: Tensor, is_touch: Tensor) -> tuple[Tensor, Pad, Tensor]:
-        """Return the probability (B, 1) of a frame (B, 1, 64), what is known of the pad after it, the memory.
+        """Return the probability (B, 1) for a frame (B, 1, 64), the next state of the pad, and the memory.
 
-        is_touch: (B, 1), 1 while a touch goes on; rest and noise then stay.
+        is_touch: (B, 1), 1 during a touch; rest and noise then stay unchanged.
         """
-        seen = self.see(*look(counts, pad))
+        seen = self.see(*inputs(counts, pad))
         hidden = self.remember(seen, hidden)
         probability = torch.sigmoid(self.out(torch.cat([seen, hidden], dim=1)))
         untouched = (1.0 - is_touch) * (1.0 - probability)

@@ -1,7 +1,7 @@
-"""What the detector learns from: rest, touches and what they leave, composed at random from the recordings.
+"""Composes the detector's training data at random from recordings: rest, touches, and what touches leave.
 
-A piece is ten seconds of one person on one set-up. The recordings hold hands in the middle of a
-gesture, and the same pad at rest; a piece puts them one after the other, as a pad in use would send them.
+A piece is ten seconds of one person on one set-up. The recordings show hands in the middle of a gesture, and
+the same pad at rest; a piece joins them as a pad in use would send them.
 """
 
 from collections.abc import Sequence
@@ -18,22 +18,23 @@ from touchd.model.training.studies import study_of
 
 PIECE_FRAMES = 567
 Scans = NDArray[np.float32]
-# The hand moves taxels by more than noise for this sum of counts; below, a frame of a touch shows no hand.
+# A frame of a touch shows a hand if the counts above rest and taxel noise sum up to this. Other frames of a
+# touch have no weight in the loss.
 VISIBLE_COUNTS, TAXEL_NOISE_COUNTS = 10.0, 2.5
-# A frame of a touch in which no hand shows teaches nothing, nor do those beside the hand's coming and going.
+# Nor have the frames this close to the beginning or end of a touch.
 BESIDE_FRAMES = 2
-# An arriving or leaving hand is ignored below this share of its load.
+# Nor have the frames in which an arriving or leaving hand has less than this share of its load.
 SEEN_SHARE = 0.15
-# Share of the touches that are hugs, which no study has recorded; of the pieces without any touch.
+# Share of the touches that are hugs, which no study has recorded; share of the pieces without a touch.
 HUGS, IDLE = 0.2, 0.1
-# What a touch leaves, as a share of its load, and how often.
+# The residue of a touch, as a share of its load, and its probability.
 RESIDUES = ((0.0, 0.35), (0.01, 0.2), (0.03, 0.2), (0.08, 0.15), (0.2, 0.1))
 LEAVING = (*LEAVES, "tickle")
 
 
 @dataclass(frozen=True, eq=False)
 class Touch:
-    """A recorded touch. contacts: whole ones of a pat or stroke. shift: what it did to the pad's rest."""
+    """A recorded touch. contacts: complete ones of a pat or stroke. shift: of the rest, by the touch."""
 
     gesture: str
     scans: Scans
@@ -127,7 +128,7 @@ class Composer:
         at = np.minimum(at[start : start + PIECE_FRAMES], len(stream.scans) - 1)
         at = np.concatenate([at, np.full(PIECE_FRAMES - len(at), at[-1])])
         targets = stream.touched[at].astype(np.float32)
-        # The person says when the touch begins and ends to some tenths of a second.
+        # The person labelled the beginning and end of the touch to some tenths of a second.
         weights = np.where(_beside(targets, 16), 0.0, 1.0).astype(np.float32)
         if targets[:30].any():
             weights[:] = 0.0
@@ -155,7 +156,7 @@ class Composer:
 
 
 class _TimeLine:
-    """A piece in the making: rest, on which touches are laid, and what they leave."""
+    """A piece that is being composed: rest, the touches laid on it, and what they leave."""
 
     def __init__(self, rest: Scans, rng: np.random.Generator) -> None:
         self._rng = rng
@@ -177,7 +178,7 @@ class _TimeLine:
         self.weights[span] *= touch.visible[first:stop] & (faded > SEEN_SHARE)
 
     def leave(self, touch: Touch, first: int, stop: int, at: int) -> None:
-        """Leave on the frames from `at` on what touches leave: a shifted rest, a residue that creeps back."""
+        """Add what a touch leaves to the frames from `at` on: a shifted rest, a residue that creeps back."""
         rng = self._rng
         if touch.gesture in LEAVING and rng.random() < 0.75:
             self.counts[at:] += touch.shift * np.float32(rng.uniform(0.3, 1.5))
@@ -192,7 +193,7 @@ class _TimeLine:
 
 
 def _hug(level: Scans, rng: np.random.Generator) -> Touch:
-    """Return an arm or two around the pad: firm, wide, moving a little, for half a second to four."""
+    """Return one or two arms around the pad: firm, wide, moving a little, for 0.5 to 4 s."""
     frames = int(rng.integers(20, 220))
     y, x = np.mgrid[:ROWS, :COLUMNS]
     at_s = np.arange(frames, dtype=np.float32) / FRAME_RATE_HZ
@@ -214,7 +215,7 @@ def _hug(level: Scans, rng: np.random.Generator) -> Touch:
 
 
 def _cut(touch: Touch, rng: np.random.Generator) -> tuple[int, int]:
-    """Return first frame and one after the last: whole contacts, a moment, or some seconds."""
+    """Return the first frame and one after the last: complete contacts, a moment, or some seconds."""
     length = len(touch.scans)
     if touch.contacts and rng.random() < 0.5:
         first = int(rng.integers(len(touch.contacts)))
@@ -227,7 +228,7 @@ def _cut(touch: Touch, rng: np.random.Generator) -> tuple[int, int]:
 
 
 def _faded(length: int, rng: np.random.Generator) -> Scans:
-    """Return (T,) how far the hand is on the pad: at once, within some frames, or slowly."""
+    """Return (T,) the share of the hand's load, which rises at once, within some frames, or slowly."""
     most = (1, 5, 30)[rng.choice(3, p=[0.45, 0.4, 0.15])]
     rise, fall = rng.integers(1, most + 1, 2)
     ticks = np.arange(length)
@@ -237,7 +238,7 @@ def _faded(length: int, rng: np.random.Generator) -> Scans:
 
 
 def _stretch(scans: Scans, frames: int, rng: np.random.Generator) -> Scans:
-    """Return `frames` frames of a recording, to and fro if it is shorter, from a place at random."""
+    """Return `frames` frames of a recording from a random place on, back and forth if it is shorter."""
     there_and_back = np.concatenate([np.arange(len(scans)), np.arange(len(scans) - 2, 0, -1)])
     at = there_and_back[(int(rng.integers(len(there_and_back))) + np.arange(frames)) % len(there_and_back)]
     stretched: Scans = scans[at].copy()
@@ -254,7 +255,7 @@ def _blotch(rng: np.random.Generator) -> Scans:
 
 
 def _beside(targets: Scans, frames: int) -> NDArray[np.bool_]:
-    """Return which frames are near one at which the hand comes or goes."""
+    """Return which frames are close to the beginning or end of a touch."""
     edges = np.flatnonzero(np.diff(targets)) + 1
     near = np.zeros(len(targets), np.bool_)
     for edge in edges:

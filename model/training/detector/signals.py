@@ -1,4 +1,4 @@
-"""What the detector sees of a frame, and how rest and noise follow the pad; training and export share it."""
+"""The detector's inputs, and how rest and noise follow the pad; training and export share this code."""
 
 from typing import NamedTuple
 
@@ -10,9 +10,9 @@ from touchd.model.detector import LEAST_NOISE_COUNTS, STEP_DEVIATIONS
 
 # Rest follows an untouched pad with this time constant, noise with a longer one.
 REST_S, NOISE_S = 2.0, 5.0
-# A pad that reads less than its rest by this many deviations was measured under a hand: rest follows at once.
+# If counts fall below rest by this many deviations, rest was measured under a hand, and follows fast.
 SUNKEN_DEVIATIONS, SUNKEN_S = 8.0, 0.25
-# What a taxel has read of late: a load that keeps still does not differ from it.
+# Time constant of a taxel's recent level, from which a still load does not differ.
 LATELY_S = 0.7
 # Half of the pad's highest load is forgotten in 13 s.
 PEAK_KEPT = 0.999
@@ -22,8 +22,8 @@ CHANNELS, TOTALS = 4, 2
 class Pad(NamedTuple):
     """What is known of the pad before a frame.
 
-    levels: (..., 3, 64) counts: rest, the frame before, what was read of late. noise: (..., 1, 64), the
-    deviation at rest in counts. peak: (..., 1), the highest load of late.
+    levels: (..., 3, 64) counts: rest, the frame before, the recent level. noise: (..., 1, 64), the deviation
+    at rest in counts. peak: (..., 1), the highest recent load.
     """
 
     levels: Tensor
@@ -31,10 +31,10 @@ class Pad(NamedTuple):
     peak: Tensor
 
 
-def look(counts: Tensor, pad: Pad) -> tuple[Tensor, Tensor]:
-    """Return what the network sees of (..., 1, 64) counts: (..., 4, 64) a taxel, (..., 2) of the whole pad.
+def inputs(counts: Tensor, pad: Pad) -> tuple[Tensor, Tensor]:
+    """Return the network's inputs for (..., 1, 64) counts: (..., 4, 64) by taxel, (..., 2) of the whole pad.
 
-    Mostly in units of the taxel's noise, so that a pad's unit and gain do not matter; on a logarithmic scale.
+    They are logarithmic, and mostly in units of the taxel's noise, so that a pad's gain does not matter.
     """
     moved = counts - pad.levels
     taxels = torch.cat([moved / pad.noise, moved[..., :1, :]], dim=-2)
@@ -46,7 +46,7 @@ def look(counts: Tensor, pad: Pad) -> tuple[Tensor, Tensor]:
 def follow(counts: Tensor, pad: Pad, untouched: Tensor) -> Pad:
     """Return what is known of the pad after a frame of (..., 1, 64) counts.
 
-    untouched: (..., 1, 1), 0 while a touch goes on, else how likely it is that no hand is on the pad.
+    untouched: (..., 1, 1), 0 during a touch, else the probability that no hand is on the pad.
     """
     moved = counts - pad.levels
     above, step = moved[..., :1, :], moved[..., 1:2, :].abs() / STEP_DEVIATIONS
@@ -75,5 +75,5 @@ def _load(moved: Tensor, noise: Tensor) -> Tensor:
 
 
 def _share(seconds: float) -> float:
-    """Return the share of a difference that a level with this time constant follows in each frame."""
+    """Return the share of a difference that a level with this time constant takes over in each frame."""
     return 1.0 / (seconds * FRAME_RATE_HZ)

@@ -1,4 +1,4 @@
-"""Training of the detector: pieces at random, rest and noise as the tracker would follow them; resumable."""
+"""Trains the detector on random pieces, with rest and noise as the tracker would follow them; resumable."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -27,14 +27,14 @@ RECIPE = Path(__file__).with_name("recipe.yaml")
 CHECKPOINT_NAME = "detector.pt"
 SAVED_EVERY_S = 60.0
 QUIET_FRAMES = round(0.8 * FRAME_RATE_HZ)
-# While the network knows nothing yet, rest follows the true touches; then the network's own answers.
+# Probabilities that stand for the network's own while it is untrained: by the true touches.
 TEACHER_TOUCHED, TEACHER_UNTOUCHED = 0.97, 0.03
 Ask = Callable[[int, Tensor, Pad], Tensor]
 """From the frame's number, its counts (B, 1, 64) and what is known of the pad to probabilities (B, 1)."""
 
 
 class DetectorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Everything that determines a detector but data and code."""
+    """Everything that determines a detector except data and code."""
 
     name: str = "detector-1"
     seed: int = 0
@@ -44,12 +44,12 @@ class DetectorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     batch: int = 8
     learning_rate: float = 3e-3
     own_answers_from: float = 0.6
-    """Share of the steps after which rest follows the network's own answers."""
+    """Share of the steps after which rest follows the network's own answers in every third step."""
     average_decay: float = 0.99
 
 
 class DetectorRecipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The detectors to train; folds: people whom one of them never sees."""
+    """The detectors to train. folds: the people whom one of them never sees."""
 
     name: str
     seed: int
@@ -125,13 +125,13 @@ def _follow(average: DetectorNetwork, network: DetectorNetwork, share: float) ->
 def _learn(
     network: DetectorNetwork, optimizer: torch.optim.Optimizer, pieces: Sequence[Piece], asked: Ask | None
 ) -> float:
-    """Learn from some pieces; return the loss. asked: whose answers rest follows; None: the network's own."""
+    """Take a step on some pieces; return the loss. asked: the answers that rest follows; None: its own."""
     counts = torch.from_numpy(np.stack([piece.counts for piece in pieces]))
     targets = torch.from_numpy(np.stack([piece.targets for piece in pieces]))[:, REST_FRAMES:]
     weights = torch.from_numpy(np.stack([piece.weights for piece in pieces]))[:, REST_FRAMES:]
     with torch.no_grad():
         known = followed(counts, asked or own_answers(network, len(pieces)))
-        taxels, totals = signals.look(counts[:, REST_FRAMES:, None], known)
+        taxels, totals = signals.inputs(counts[:, REST_FRAMES:, None], known)
     losses = functional.binary_cross_entropy_with_logits(network(taxels, totals), targets, reduction="none")
     loss = (losses * weights).sum() / weights.sum()
     optimizer.zero_grad()
@@ -142,7 +142,7 @@ def _learn(
 
 
 def followed(counts: Tensor, ask: Ask) -> Pad:
-    """Return what the tracker would know of the pad before each frame from REST_FRAMES on, (B, T, ...).
+    """Return the tracker's state of the pad before each frame from REST_FRAMES on, (B, T, ...).
 
     counts: (B, T, 64). The rules of `daemon.path.tracker`, for many pads at once.
     """
@@ -169,7 +169,7 @@ def followed(counts: Tensor, ask: Ask) -> Pad:
 
 
 def teacher(pieces: Sequence[Piece], rng: np.random.Generator) -> Ask:
-    """Return answers that follow the true touches, sometimes late."""
+    """Return answers that follow the true touches, sometimes with a delay."""
     targets = np.stack([piece.targets for piece in pieces])
     late = np.where(rng.random(len(pieces)) < 0.3, rng.integers(1, 40, len(pieces)), 1)
     lasting = np.stack([_after(row, frames) for row, frames in zip(targets, late, strict=True)])
@@ -190,7 +190,7 @@ def own_answers(network: DetectorNetwork, B: int) -> Ask:
 
     def ask(_t: int, counts: Tensor, pad: Pad) -> Tensor:
         nonlocal hidden
-        seen = network.see(*signals.look(counts, pad))
+        seen = network.see(*signals.inputs(counts, pad))
         hidden = network.remember(seen, hidden)
         return torch.sigmoid(network.out(torch.cat([seen, hidden], dim=1)))
 
