@@ -37,7 +37,7 @@ from touchd.daemon.path.events import (
 from touchd.daemon.sinks.touches import decode
 
 
-def test_why_a_library_cannot_be_loaded_is_a_warning_and_its_notes_are_not(
+def test_only_a_failed_load_of_a_library_is_a_warning(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     says = "import sys; print('api_config.cpp:126   INFO| Loaded default config', file=sys.stderr)"
@@ -168,9 +168,7 @@ def test_ros2_nodes_find_and_receive_the_topics(tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.frombuffer(bytes(picture.data), "<u2").reshape(8, 8), frame(1).pressure)
 
 
-def test_ros2_starts_again_where_the_network_is_another(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ros2_restarts_when_the_network_has_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("cyclonedds")
     from cyclonedds.core import DDSException
 

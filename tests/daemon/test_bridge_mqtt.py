@@ -254,7 +254,7 @@ def test_home_assistant_shows_gestures_and_whether_the_pad_is_touched(port: int,
         wait_for(lambda: len(messages) == 4)
 
 
-def test_the_state_that_changed_while_the_broker_was_away_is_retained(
+def test_a_state_that_changed_without_the_broker_is_retained(
     tmp_path: Path, opened: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The event itself is stale by then.
@@ -270,9 +270,7 @@ def test_the_state_that_changed_while_the_broker_was_away_is_retained(
         wait_for(lambda: retained(port) == "down")
 
 
-def test_two_computers_with_one_topic_do_not_end_each_others_connections(
-    tmp_path: Path, opened: Open
-) -> None:
+def test_computers_with_one_topic_keep_each_others_connections(tmp_path: Path, opened: Open) -> None:
     port, log = free_port(), tmp_path / "log"
     lines = f"allow_anonymous true\nlog_dest file {log}\nuser root\n"
     with broker(tmp_path, port, lines), subscribed(port, "touchd/#") as messages:

@@ -156,7 +156,7 @@ def test_a_pipe_or_device_is_refused_as_a_recording(
     assert "pipe.csv.gz: holds no rows" in refusal(*command.split(), "pipe.csv.gz")
 
 
-def test_a_terminal_that_lacks_a_character_shows_another_one() -> None:
+def test_a_terminal_without_a_character_shows_a_replacement() -> None:
     program = "from touchd.daemon.app import cli; cli.main(['--version']); print('\u201chi\u201d')"
     shown = ran([sys.executable, "-c", program], env={**os.environ, "PYTHONIOENCODING": "ascii"})
     assert shown.stdout.splitlines()[-1] == "?hi?"
@@ -268,7 +268,7 @@ def own_model(**metadata: Any) -> Classifier:
     return replace(shipped, metadata=msgspec.structs.replace(shipped.metadata, **metadata))
 
 
-def test_a_scene_that_acts_on_other_fits_a_model_without_it() -> None:
+def test_actions_on_other_fit_a_model_without_other() -> None:
     rule = ActionRule(do=(Action(say="Ouch"),), gestures=("other",))
     check_scene(SceneSettings(gestures=("pat",), actions=(rule,)), own_model(labels=("notouch", "pat")))
 

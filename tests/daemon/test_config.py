@@ -188,9 +188,7 @@ def test_a_file_of_nested_aliases_is_refused_at_once(tmp_path: Path) -> None:
         ({"format": msgspec.structs.replace(PRESETS["velostat"], columns=9)}, True),
     ],
 )
-def test_a_pad_of_more_taxels_than_a_frame_is_known_by_its_grid(
-    sensor: dict[str, Any], is_finer: bool
-) -> None:
+def test_a_finer_pad_is_recognised_by_its_grid(sensor: dict[str, Any], is_finer: bool) -> None:
     assert Settings(sensor=SensorSettings(**sensor)).pipeline.is_finer == is_finer
 
 

@@ -18,7 +18,7 @@ from touchd.drivers.search.search import Finding
 
 
 @pytest.mark.parametrize(("told", "searched"), [(["--grid", "12x9"], [(12, 9)]), ([], [(10, 10), None])])
-def test_the_doctor_searches_with_the_grid_that_was_told(
+def test_the_doctor_searches_with_the_given_grid(
     monkeypatch: pytest.MonkeyPatch, told: list[str], searched: list[tuple[int, int] | None]
 ) -> None:
     grids: list[tuple[int, int] | None] = []
@@ -57,7 +57,7 @@ def test_a_missing_port_says_what_to_do_within_80_columns(capsys: pytest.Capture
     assert all(len(line) <= 80 for line in shown.splitlines())
 
 
-def test_a_pad_unplugged_during_the_checks_is_reported_before_the_others() -> None:
+def test_a_pad_unplugged_during_the_checks_is_reported_first() -> None:
     with pad_of(resting(4.0)) as port:
         checks = examine(Settings(sensor=SensorSettings(port=port.path)), 60.0, lambda line: None)
         assert next(checks).name == "port"

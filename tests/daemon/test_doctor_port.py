@@ -65,19 +65,19 @@ def test_a_port_gets_the_name_that_lasts(
     assert all(each.startswith(f"it stays with {why}") for _, each in found)
 
 
-def test_a_board_without_a_number_or_socket_has_its_name_by_id(machine: Machine) -> None:
+def test_a_board_without_number_or_socket_is_named_by_id(machine: Machine) -> None:
     device = machine.plug("1-1", "")
     (machine.root / "by-path/1-1").unlink()
     assert Path(lasting_name(device)[0]).name == "-if"
 
 
-def test_a_board_with_the_udev_rules_name_is_named_by_its_number(machine: Machine) -> None:
+def test_a_board_under_the_udev_name_gets_its_number(machine: Machine) -> None:
     link = machine.root / "touchd-pad"
     link.symlink_to(machine.plug("1-1", "A17"))
     assert Path(lasting_name(str(link))[0]).name == "A17-if"
 
 
-def test_a_port_without_another_name_keeps_its_own(machine: Machine) -> None:
+def test_a_port_without_a_lasting_name_keeps_its_own(machine: Machine) -> None:
     uart, chosen = machine.root / "ttyAMA0", machine.root / "pad-left"
     uart.touch()
     chosen.symlink_to(machine.plug("1-1", "A17"))
@@ -142,7 +142,7 @@ def test_a_group_that_a_container_lacks_is_not_advised(
     assert "usermod" not in advice
 
 
-def test_a_group_that_waits_for_the_next_login_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_group_of_the_next_login_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     user = pwd.getpwuid(os.geteuid()).pw_name
     group = grp.struct_group(("dialout", "x", 4_000_000, [user]))
     monkeypatch.setattr(grp, "getgrall", lambda: [group])

@@ -158,7 +158,7 @@ def test_a_touch_during_the_rest_check_is_reported(sensitivity: Sensitivity, adv
         (0, 0, -300, "to do", TURN_OVER),
     ],
 )
-def test_the_pressed_place_tells_how_the_pad_lies(
+def test_the_pressed_corner_shows_how_the_pad_is_mounted(
     row: int, column: int, counts: int, verdict: str, said: str
 ) -> None:
     pressed = resting(1.0).astype(np.int64) + 500

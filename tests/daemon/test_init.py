@@ -80,7 +80,7 @@ def test_a_port_is_written_by_a_name_that_lasts(
 
 
 @pytest.mark.parametrize("typed", ["16", "3x8", "8x65", "x", "8x8x8", "10\n"])
-def test_a_grid_that_is_none_is_refused(typed: str, capsys: Captured) -> None:
+def test_an_invalid_grid_is_refused(typed: str, capsys: Captured) -> None:
     with pytest.raises(SystemExit):
         write("--grid", typed)
     said = f"{typed.strip()!r} is not ROWSxCOLUMNS of 4 to 64 each, as in 16x16"
@@ -95,7 +95,7 @@ def test_a_grid_that_is_none_is_refused(typed: str, capsys: Captured) -> None:
     ],
     ids=["the grid is missing", "nobody presses"],
 )
-def test_a_pad_that_is_not_proven_is_refused_in_one_line(
+def test_an_unproven_pad_is_refused_in_one_line(
     columns: int, told: list[str], said: str, monkeypatch: pytest.MonkeyPatch, capsys: Captured
 ) -> None:
     monkeypatch.setattr(hand, "LISTEN_S", 1.0)
@@ -119,7 +119,7 @@ def test_a_pad_that_is_not_proven_is_refused_in_one_line(
         (["missing/touchd.yaml", "--port", "none"], ConfigError, r"cannot be written .*; give another path"),
     ],
 )
-def test_what_cannot_work_is_refused_at_once(
+def test_options_that_cannot_work_are_refused_at_once(
     options: list[str], kind: type[Exception], message: str, capsys: Captured
 ) -> None:
     with pytest.raises(kind, match=message):
@@ -149,7 +149,7 @@ def test_without_pad_and_robot_the_file_has_the_likeliest(capsys: Captured) -> N
     assert f"trying tcp://{host}:9559 ...\ntrying tcps://{host}:9503 ...\n" in capsys.readouterr().err
 
 
-def test_a_port_that_another_program_reads_is_no_missing_pad() -> None:
+def test_a_shared_port_is_not_a_missing_pad() -> None:
     with (
         FakePort(STREAM, ENCODE) as pad,
         serial.Serial(pad.path, exclusive=True),
@@ -205,7 +205,7 @@ def test_a_grid_that_only_one_search_found_is_not_proposed(monkeypatch: pytest.M
     assert hand.find_with_a_hand(Console(quiet=True), unused, (8, 8))[0] == firmer
 
 
-def test_the_robot_is_asked_for_until_it_is_an_address() -> None:
+def test_the_robot_is_asked_for_until_it_has_an_address() -> None:
     with Robot() as robot, Terminal("init", "--port", "none") as terminal:
         terminal.until("The robot's name or address")
         terminal.answer("nao local", "is not a robot's name or address, such as nao.local")

@@ -63,7 +63,7 @@ def test_the_journal_rotates_within_its_limits(path: Path) -> None:
     assert lines == numbered(200)[-len(lines) :] != []
 
 
-def test_a_journal_behind_a_link_rotates_where_it_lies(path: Path) -> None:
+def test_a_journal_behind_a_link_rotates_beside_its_target(path: Path) -> None:
     (disk := path.with_name("disk")).mkdir()
     path.symlink_to(disk / "touches.jsonl")
     write(path, numbered(20))
@@ -115,7 +115,7 @@ def test_two_daemons_do_not_write_one_journal(path: Path) -> None:
 
 
 @pytest.mark.parametrize("take_away", [Path.unlink, lambda path: path.rename(path.with_name("moved"))])
-def test_a_journal_taken_away_is_recreated_and_reported(
+def test_a_removed_journal_is_recreated_and_reported(
     path: Path, take_away: Callable[[Path], object], caplog: pytest.LogCaptureFixture
 ) -> None:
     journal = Journal(path)
@@ -142,9 +142,7 @@ def test_a_deleted_journal_folder_is_warned_of_once(tmp_path: Path, caplog: pyte
     assert numbers(folder / "events.jsonl") == [5]
 
 
-def test_without_a_path_it_is_in_the_state_folder_of_service_or_user(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_default_path_is_in_the_state_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/touchd")
     assert JournalSettings().file == Path("/var/lib/touchd/events.jsonl")
     monkeypatch.delenv("STATE_DIRECTORY")

@@ -36,7 +36,7 @@ def test_the_gestures_keys_do_not_depend_on_other() -> None:
     assert keys_of(("constant", "notouch", "other", "pat")) == without | {"3": "other"}
 
 
-def test_labels_that_teach_nothing_are_warned_of_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_labels_without_saved_touches_are_warned_of_once(caplog: pytest.LogCaptureFixture) -> None:
     for are_saved in (True, False):
         labeller = Labeller(lambda _: None, {"pad": GESTURES}, are_saved=are_saved)
         for number in (1, 2, 3):
@@ -45,7 +45,7 @@ def test_labels_that_teach_nothing_are_warned_of_once(caplog: pytest.LogCaptureF
     assert warning.startswith("set journal.keep_touches")
 
 
-def test_a_key_says_what_the_touch_on_the_screen_was(tmp_path: Path) -> None:
+def test_a_key_labels_the_touch_on_the_screen(tmp_path: Path) -> None:
     journal = tmp_path / "events.jsonl"
     config = tmp_path / "touchd.yaml"
     with playing(LENGTHS, 2.0) as port:

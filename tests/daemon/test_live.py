@@ -298,7 +298,7 @@ def test_a_viewer_that_sends_data_is_disconnected(served: Served, message: str, 
         ('{"pad":"pad","touch":1,"gesture":"pat"}', {"Via": "203.0.113.5"}, "only this computer"),
     ],
 )
-def test_what_is_not_a_label_is_refused(message: str, headers: dict[str, str], why: str) -> None:
+def test_a_message_that_is_not_a_label_is_refused(message: str, headers: dict[str, str], why: str) -> None:
     with serving(label=True) as served, served.look() as viewer:
         served.sink.put(BEGAN)
         served.put_frame()
@@ -385,7 +385,7 @@ def test_an_invalid_address_is_refused(text: str) -> None:
         ("fake-pad", "[::1]", "::1", "--live [::1]:8061"),
     ],
 )
-def test_a_port_in_use_is_reported_with_an_address_that_works(
+def test_a_used_port_is_reported_with_a_free_address(
     capfd: pytest.CaptureFixture[str], command: str, host: str, shown: str, advice: str
 ) -> None:
     with listen(LiveSettings(host=shown, port=0)) as taken:
@@ -430,7 +430,7 @@ def test_the_page_is_served_and_answered_by_any_name(
     assert is_own_host(f"{name}:8054", own_names(settings))
 
 
-def test_an_address_of_another_computer_is_refused_and_tried_again_by_systemd() -> None:
+def test_another_computers_address_is_refused_and_retried_by_systemd() -> None:
     with pytest.raises(LiveError, match="this computer has no such address") as raised:
         listen(LiveSettings(host="192.0.2.1", port=0))
     # At boot the address may come late; systemd does not start the service again after 2.

@@ -148,7 +148,7 @@ def test_every_touch_is_listed_with_its_answers(played: WatchedPage) -> None:
         assert re.findall(r"[a-z]{3,}", path) == [name for name, _ in itertools.groupby(gestures)]
 
 
-def test_answers_stand_where_they_were_said_and_show_changes(played: WatchedPage) -> None:
+def test_answers_stand_at_their_time_and_show_changes(played: WatchedPage) -> None:
     last = played.ended[-1].touch
     answers = [answer for answer in played.answers if answer.touch == last][:3]
     flags = played.run(
@@ -431,7 +431,7 @@ def test_a_guess_stands_at_its_moment(chrome: Chrome) -> None:
     show_in(chrome, 1280, 800)
 
 
-def test_what_was_told_stays_told_when_the_robot_leaves(chrome: Chrome, worded: Served) -> None:
+def test_told_answers_stay_told_when_the_robot_leaves(chrome: Chrome, worded: Served) -> None:
     look_at(chrome, worded)
     told = "told the robot at 2.67 s"
     wait_for(lambda: told in text_of(chrome, "#remark"))
@@ -545,7 +545,7 @@ def test_it_reconnects_when_the_daemon_returns(played: WatchedPage, tmp_path: Pa
         wait_for(lambda: not is_stale(chrome))
 
 
-def test_a_browser_that_cannot_run_the_page_is_told_so(chrome: Chrome) -> None:
+def test_a_browser_that_cannot_run_the_page_shows_why(chrome: Chrome) -> None:
     height = "return document.getElementById('unable')?.getBoundingClientRect().height ?? -1"
     with serving() as served:
         page = f"http://127.0.0.1:{served.port}/"

@@ -160,7 +160,7 @@ def test_the_page_of_a_pad_alone_is_filled_with_it(fake_pad: FakePad) -> None:
         assert chrome.execute_script("return document.documentElement.scrollWidth") <= width
 
 
-def test_the_chosen_size_is_marked_and_its_button_in_its_column(fake_pad: FakePad) -> None:
+def test_the_chosen_size_is_marked_in_its_column(fake_pad: FakePad) -> None:
     chrome = fake_pad.chrome
     # Browsers before the end of 2023 do not know it.
     assert ":has(" not in (FOLDER / "page.css").read_text()
@@ -178,7 +178,7 @@ def test_the_chosen_size_is_marked_and_its_button_in_its_column(fake_pad: FakePa
     chrome.execute_script("document.body.setAttribute('data-pad-only', '')")
 
 
-def test_fingers_press_where_each_touches(fake_pad: FakePad) -> None:
+def test_each_finger_presses_where_it_touches(fake_pad: FakePad) -> None:
     fake_pad.fingers("touchStart", (0.19, 0.19), (0.81, 0.81))
     pressed = fake_pad.pressed()
     fake_pad.fingers("touchEnd")
@@ -202,7 +202,7 @@ def test_the_pressure_of_pens_and_fingers_counts(fake_pad: FakePad) -> None:
 
 
 @pytest.mark.slow
-def test_the_hand_goes_on_when_nobody_touches(fake_pad: FakePad) -> None:
+def test_the_simulated_hand_resumes_when_nobody_touches(fake_pad: FakePad) -> None:
     invitation = fake_pad.chrome.find_element(By.ID, "invitation")
     wait_for(lambda: any(frame.pressure.max() > 15 for frame in next_frames(fake_pad.frames, 54)))
     wait_for(lambda: invitation.text == "Touch here", fake_hand.ALONE_S + SOON_S)

@@ -38,7 +38,7 @@ def test_foreign_text_is_printable_and_short() -> None:
     assert one_line("grün: 触れる ✓") == "grün: 触れる ✓"
 
 
-def test_every_written_line_has_passed_the_gate() -> None:
+def test_every_written_line_has_passed_the_filter() -> None:
     lines = written(*os.pipe(), *(record("closed: %s", HOSTILE) for _ in range(MOST_LINES + 1)))
     assert len(lines) == MOST_LINES
     assert all(line.startswith("WARNING library: closed: one") and line.isprintable() for line in lines)

@@ -144,7 +144,7 @@ def test_a_hand_does_not_show_which_taxels_stand_still() -> None:
     assert told_of(counts, untouched=lambda second: second >= 5) == ([], [])
 
 
-def test_a_row_that_broke_on_a_slow_pad_is_found_between_touches() -> None:
+def test_a_slow_pads_broken_row_is_found_between_touches() -> None:
     counts = broken(ROW_7, 0, (10, 40))
     # Ten frames a second; a hand and what it leaves take four of every six seconds.
     clock_ms = [100 * number for number in range(len(counts))]
@@ -220,7 +220,7 @@ def test_a_daemon_that_was_stopped_blames_neither_pad_nor_clock(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(("every_s", "is_often"), [(29.0, True), (31.0, False)])
-def test_a_pad_that_often_restarts_is_degraded_until_it_is_steady(every_s: float, is_often: bool) -> None:
+def test_a_pad_that_restarts_often_is_degraded_until_steady(every_s: float, is_often: bool) -> None:
     parser, told = FabricGrid(), list[tuple[str, str]]()
     monitor = PadMonitor(parser=parser)
     for tenth in range(1300):
@@ -234,7 +234,7 @@ def test_a_pad_that_often_restarts_is_degraded_until_it_is_steady(every_s: float
     assert told == ([("degraded", "restarts"), ("up", "")] if is_often else [])
 
 
-def test_a_noisy_pad_is_degraded_after_five_seconds_until_it_is_calm() -> None:
+def test_a_noisy_pad_is_degraded_after_five_seconds_until_calm() -> None:
     monitor, seconds = PadMonitor(), list[float]()
     for number in range(20 * RATE_HZ):
         # For a second in between, as a hand leaves it.
@@ -257,7 +257,7 @@ def noisy_for(monitor: PadMonitor, seconds: int) -> list[SensorState]:
     return states
 
 
-def test_a_pad_that_was_gone_is_not_noisy_until_measured_again(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_returned_pad_is_not_noisy_until_measured_again(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     monitor = PadMonitor()
     assert [now.cause for now in noisy_for(monitor, 8)] == ["noise"]

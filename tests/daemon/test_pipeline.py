@@ -177,7 +177,7 @@ def test_a_hand_that_left_is_answered_sooner_if_surely(
     assert len(end + bench.feel(nothing(1.0))) == 1
 
 
-def test_a_hand_that_comes_back_goes_on_with_its_touch() -> None:
+def test_a_hand_that_comes_back_continues_its_touch() -> None:
     bench = Bench()
     events = bench.feel(palm(0.5), nothing(0.5), palm(2.5))
     assert answered(events) == [("released", 27 + 13), EARLY, REVISED, FINAL]

@@ -139,7 +139,7 @@ def test_a_recording_that_does_not_show_its_gesture_is_reported(
         pytest.param("m1616", [palm(1.0, 300.0), DENT], 4000, id="leaving a dent in a finer pad"),
     ],
 )
-def test_a_touch_that_was_recorded_has_both_its_ends(
+def test_a_recorded_touch_has_a_beginning_and_an_end(
     pad_format: str, scans: list[Scans], end_ms: int, classifier: Classifier
 ) -> None:
     contact = Contact(Settings(sensor=SensorSettings(format=pad_format)).pipeline, classifier)
@@ -150,7 +150,7 @@ def test_a_touch_that_was_recorded_has_both_its_ends(
 
 
 @pytest.mark.parametrize(("columns", "width"), [(60, 60), (200, 80)])
-def test_text_is_as_wide_as_the_terminal_and_easy_to_read(
+def test_text_is_at_most_as_wide_as_the_terminal(
     monkeypatch: pytest.MonkeyPatch, columns: int, width: int
 ) -> None:
     monkeypatch.setenv("COLUMNS", str(columns))

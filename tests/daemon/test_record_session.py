@@ -85,7 +85,7 @@ def test_a_pad_unplugged_while_recording_is_reported(port: FakePort, classifier:
             next(pad.follow(1.0))
 
 
-def test_a_session_is_guided_checked_redone_and_kept(tmp_path: Path, record: list[str], hand: Hand) -> None:
+def test_a_session_is_guided_checked_redone_and_saved(tmp_path: Path, record: list[str], hand: Hand) -> None:
     gestures = ("pat", "notouch", "rub")
     with Terminal(*record, "--gestures", ",".join(gestures)) as terminal:
         terminal.until("Who touches the pad?")
@@ -147,7 +147,7 @@ def test_a_session_resumes_after_a_crash(tmp_path: Path, record: list[str]) -> N
     assert cli.main([*record, *ANNA]) == 0
 
 
-def test_q_ends_a_recording_which_is_not_kept(tmp_path: Path, record: list[str]) -> None:
+def test_q_ends_a_recording_without_saving_it(tmp_path: Path, record: list[str]) -> None:
     with Terminal(*record, *ANNA, *ENDLESS) as terminal:
         terminal.until("Enter to begin")
         terminal.answer("", "hands off, 6")
@@ -158,7 +158,7 @@ def test_q_ends_a_recording_which_is_not_kept(tmp_path: Path, record: list[str])
 
 
 @pytest.mark.parametrize("hand", [Hand(on_ms=400, every_ms=3000)], ids=["pats every 3 s"])
-def test_a_gesture_made_once_is_saved_with_the_rest_around_it(
+def test_a_single_gesture_is_saved_with_the_rest_around_it(
     tmp_path: Path, port: FakePort, monkeypatch: pytest.MonkeyPatch, classifier: Classifier
 ) -> None:
     names = {"pat": "Tätscheln"}

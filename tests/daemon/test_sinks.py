@@ -105,7 +105,7 @@ def test_continuing_losses_are_logged_at_their_beginning_and_in_all(caplog: pyte
     ]
 
 
-def test_what_a_robot_does_comes_after_its_cause(pipe: tuple[int, int]) -> None:
+def test_a_reaction_of_the_robot_follows_its_answer(pipe: tuple[int, int]) -> None:
     reader, writer = pipe
     fanout = EventFanout()
     done = RobotAction(touch=7, action="say", what="Hello", time=PREDICTION.time)
@@ -128,7 +128,7 @@ def test_what_a_robot_does_comes_after_its_cause(pipe: tuple[int, int]) -> None:
     assert read(reader, 2) == [PREDICTION, done]
 
 
-def test_the_robot_stops_first_so_its_last_acts_are_told(
+def test_the_robot_stops_first_so_its_last_acts_are_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stopped: list[str] = []

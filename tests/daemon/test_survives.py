@@ -46,7 +46,7 @@ def test_a_flooding_viewer_is_disconnected(served: Served, said: bytes) -> None:
         frames_among(viewer, served.put_frame())
 
 
-def test_a_view_ends_well_when_its_terminal_is_closed() -> None:
+def test_a_view_ends_cleanly_when_its_terminal_is_closed() -> None:
     stream = stream_of(LENGTHS)
     with (
         FakePort(stream, encoder_for(SensorSettings()), loop=True) as port,

@@ -101,7 +101,7 @@ def test_an_unusable_tag_changes_nothing(texts: list[str], capsys: pytest.Captur
     assert len(capsys.readouterr().err.splitlines()) == 1
 
 
-def test_without_a_daemon_it_says_so_in_a_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_daemon_is_reported_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert tag("participant=P07") == 2
     with tagged():
         assert tag("participant=P07", "-c", "b.yaml") == 2
@@ -110,7 +110,7 @@ def test_without_a_daemon_it_says_so_in_a_line(capsys: pytest.CaptureFixture[str
     assert "no touchd with these settings runs" in other
 
 
-def test_of_two_daemons_one_has_to_be_chosen(capsys: pytest.CaptureFixture[str]) -> None:
+def test_two_daemons_require_a_choice(capsys: pytest.CaptureFixture[str]) -> None:
     with tagged() as (fanout, _), tagged("b.yaml") as (other, _):
         assert tag("participant=P07") == 2
         said = capsys.readouterr().err
@@ -121,7 +121,7 @@ def test_of_two_daemons_one_has_to_be_chosen(capsys: pytest.CaptureFixture[str])
         assert (fanout.tags(), other.tags()) == ({"participant": "P07"}, {})
 
 
-def test_what_a_killed_daemon_left_is_replaced(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_files_of_a_killed_daemon_are_replaced(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with tagged():
         left = {path: path.read_bytes() for path in folder.iterdir()}
     assert list(folder.iterdir()) == []
@@ -158,7 +158,7 @@ def test_a_second_daemon_of_one_file_leaves_the_firsts_tags(caplog: pytest.LogCa
 
 
 @pytest.mark.parametrize("session", ["", "/nowhere"])
-def test_without_a_session_daemon_and_command_meet_too(monkeypatch: pytest.MonkeyPatch, session: str) -> None:
+def test_tags_also_work_without_a_login_session(monkeypatch: pytest.MonkeyPatch, session: str) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", session)
     with tagged() as (fanout, _):
         assert tag("participant=P07", "-c", "a.yaml") == 0

@@ -64,7 +64,7 @@ def put(sink: TouchSink, touch: EndedTouch) -> None:
     sink.put(touch.ended)
 
 
-def test_a_kept_touch_is_what_the_pad_sent(store: TouchStore, tmp_path: Path) -> None:
+def test_a_saved_touch_is_what_the_pad_sent(store: TouchStore, tmp_path: Path) -> None:
     events, now_s = list[Event](), 1795168800.0
     counts = MadePad().counts(np.concatenate([nothing(1.5), pat(2.0), nothing(2.0)]))
     sent = [Frame(round(1000 * number / 54), 100.0, frame) for number, frame in enumerate(counts)]
@@ -140,7 +140,7 @@ EVERY_100 = range(0, 3000, 100)
         ([100, 200, 1201, 1301, 2302, 2402], 1201, 1201, 2302, "released", [(1201, 1301)]),
     ],
 )
-def test_rest_touch_and_quiet_are_kept_in_bounds(
+def test_rest_touch_and_quiet_are_saved_in_bounds(
     store: TouchStore,
     since_ms: int,
     times_ms: Sequence[int],
@@ -162,7 +162,7 @@ def test_rest_touch_and_quiet_are_kept_in_bounds(
     assert [(clock[0], clock[-1]) for clock in clocks] == pieces
 
 
-def test_only_the_last_touches_are_kept(tmp_path: Path) -> None:
+def test_only_the_last_touches_are_saved(tmp_path: Path) -> None:
     store = TouchStore(tmp_path, 5, "")
     for number in range(12):
         store.add(ended_touch(number, rest_frames=0))
@@ -187,7 +187,7 @@ def test_later_touches_do_not_displace_labelled_ones(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("pad", [DEFAULT_PAD, "left"])
-def test_labels_are_read_from_the_journal_beside(tmp_path: Path, pad: str) -> None:
+def test_labels_are_read_from_the_journal_beside_the_touches(tmp_path: Path, pad: str) -> None:
     journal = tmp_path / "events.jsonl"
     folder = folder_of(journal, pad)
     assert labels_in(folder) == {}
@@ -273,7 +273,7 @@ def test_a_full_disk_leaves_only_whole_files(tmp_path: Path) -> None:
     assert recovery.startswith("INFO the frames of touches are saved again; those of 20 were lost")
 
 
-def test_only_what_a_kill_left_unfinished_is_deleted_at_the_start(tmp_path: Path) -> None:
+def test_only_unfinished_files_are_deleted_at_the_start(tmp_path: Path) -> None:
     foreign = {"notes.txt", "anna_foam_fur_rub_1.csv.gz"}
     for name in (*foreign, f"{PARTIAL}2026-11-20T10-00-00.000Z-1-1.csv.gz"):
         (tmp_path / name).touch()
@@ -286,7 +286,7 @@ def test_only_what_a_kill_left_unfinished_is_deleted_at_the_start(tmp_path: Path
     }
 
 
-def test_rest_holds_nothing_of_an_earlier_touch(store: TouchStore, tmp_path: Path) -> None:
+def test_rest_has_no_frames_of_an_earlier_touch(store: TouchStore, tmp_path: Path) -> None:
     touch, change = ended_touch(1), msgspec.structs.replace
     with sinking(store) as sink:
         for ms in range(0, 3000, 100):
@@ -301,7 +301,7 @@ def test_rest_holds_nothing_of_an_earlier_touch(store: TouchStore, tmp_path: Pat
     assert second.before.sensor_ms.tolist() == [1600, 1700]
 
 
-def test_a_folder_that_fails_loses_touches_and_says_so_once(
+def test_a_failing_folder_loses_touches_with_one_warning(
     store: TouchStore, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level("INFO")
@@ -332,7 +332,7 @@ def test_a_folder_that_is_missing_holds_no_touches(tmp_path: Path) -> None:
     assert saved_touches(tmp_path) == []
 
 
-def test_each_pads_touches_are_kept_without_forgotten_frames(store: TouchStore, tmp_path: Path) -> None:
+def test_each_pads_touches_are_saved_without_forgotten_frames(store: TouchStore, tmp_path: Path) -> None:
     touch, change = ended_touch(1), msgspec.structs.replace
     other = TouchStore(tmp_path / "other", 20, "another pad")
     with sinking(store, other) as sink:

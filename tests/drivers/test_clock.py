@@ -46,7 +46,7 @@ def test_a_frame_with_a_wrong_clock_is_refused_and_counted(
 
 
 @pytest.mark.parametrize("stamp", [float("nan"), float("inf"), -float("inf")])
-def test_a_clock_that_is_no_number_is_refused(stamp: float) -> None:
+def test_a_clock_that_is_not_finite_is_refused(stamp: float) -> None:
     clock = PadClock(counts := ProtocolCounts(), "ms")
     assert clock.date(stamp, 1.0, STILL) == []
     assert counts.bad_time == 1
@@ -67,7 +67,7 @@ def arrivals_of(rate_hz: float, seconds: float, late_s: float = 0.0, seed: int =
 
 
 @pytest.mark.parametrize("rate_hz", [8.0, 12.0, 25.0, 50.0, 54.0, 57.0, 200.0, 500.0])
-def test_a_pad_without_a_clock_is_dated_evenly_at_any_rate(rate_hz: float) -> None:
+def test_frames_without_a_clock_are_dated_evenly_at_any_rate(rate_hz: float) -> None:
     clock = ArrivalClock()
     # A USB adapter holds frames back by up to 16 ms.
     stamps = [clock.stamp_ms(arrival_s) for arrival_s in arrivals_of(rate_hz, max(8.0, 200 / rate_hz), 0.016)]
@@ -80,7 +80,7 @@ def test_a_pad_without_a_clock_is_dated_evenly_at_any_rate(rate_hz: float) -> No
     assert steps.max() <= 1000 / rate_hz + 20
 
 
-def test_a_pad_that_changes_its_rate_is_followed_within_two_seconds() -> None:
+def test_a_changed_rate_is_followed_within_two_seconds() -> None:
     clock = ArrivalClock()
     slow = [10 + number / 30 for number in range(90)]
     arrivals_s = [*slow, *(slow[-1] + number / 90 for number in range(1, 271))]
@@ -90,7 +90,7 @@ def test_a_pad_that_changes_its_rate_is_followed_within_two_seconds() -> None:
 
 
 @pytest.mark.parametrize("held_s", [0.1, 0.24, 1.0, 30.0])
-def test_frames_that_were_held_up_are_dated_soon_after_as_they_come(held_s: float) -> None:
+def test_after_a_delay_frames_are_soon_dated_by_arrival(held_s: float) -> None:
     clock = ArrivalClock()
     sent_s = arrivals_of(54, 12.0)
     arrivals_s = [max(each, 104.0 + held_s) if each >= 104.0 else each for each in sent_s]
@@ -145,7 +145,7 @@ def test_a_clock_is_used_in_its_unit(unit: str, stamp: Callable[[float], float])
     [("ms", 3.0), ("us", 3.0), ("s", 3.0), ("ms", 0.7), ("ms", 20.0)],
     ids=["ms", "microseconds", "seconds", "often", "rarely"],
 )
-def test_a_clock_that_restarts_is_dated_on_by_arrival(unit: str, period_s: float) -> None:
+def test_a_restarted_clock_continues_by_arrival(unit: str, period_s: float) -> None:
     counts_a_second = {"ms": 1000, "us": 1e6, "s": 1}[unit]
     counts, frames = dated(lambda second: counts_a_second * (0.007 + second % period_s), 60.0, unit=unit)
     assert len(frames) >= 54 * 60 - 1
@@ -155,7 +155,7 @@ def test_a_clock_that_restarts_is_dated_on_by_arrival(unit: str, period_s: float
 
 
 @pytest.mark.parametrize("pause_s", [0.8, 5.0])
-def test_a_pause_while_the_board_starts_is_dated_as_long_as_it_was(pause_s: float) -> None:
+def test_a_pause_while_the_board_starts_keeps_its_length(pause_s: float) -> None:
     _, frames = dated(
         lambda second: round(1000 * (second % 3)), 9.0, lambda second: second + second // 3 * pause_s
     )
@@ -195,7 +195,7 @@ def test_a_clock_that_wraps_continues() -> None:
     assert pace_of(frames_at(stamps)).lost == 0
 
 
-def test_a_clock_that_restarts_goes_on_where_it_was() -> None:
+def test_a_restarted_clock_continues_where_it_was() -> None:
     stamps = [5000 + STEP_MS * number for number in range(10)]
     frames = frames_at([*stamps, *range(0, 10 * STEP_MS, STEP_MS)])
     assert clock_ms(frames).tolist() == [*stamps, *(stamps[-1] + STEP_MS * number for number in range(10))]

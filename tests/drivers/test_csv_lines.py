@@ -127,7 +127,7 @@ def test_a_line_is_numbers_after_the_first_label(
     assert numbers_in(printed) == (numbers, label)
 
 
-def test_a_wide_line_with_words_is_read_and_an_endless_one_is_not() -> None:
+def test_a_wide_line_is_read_but_not_an_endless_one() -> None:
     described = PadFormat(framing="text", rows=4, columns=4, tail=3)
     wide = ("words " * 42 + "".join(f"{number:>24}" for number in range(19))).encode() + b"\n"
     parser = FrameParser(described)
@@ -154,7 +154,7 @@ def test_a_damaged_line_loses_only_its_own_frame() -> None:
 
 
 @pytest.mark.parametrize("place", range(5))
-def test_a_damaged_line_of_a_frame_with_an_end_loses_only_its_own(place: int) -> None:
+def test_a_damaged_line_before_an_end_loses_only_its_frame(place: int) -> None:
     parser = FrameParser(PadFormat(framing="text", rows=5, columns=6, end="end"))
     printed = [",".join(map(str, cells)) + "\n" for cells in ROWS]
     damaged = [*printed[:place], "7,7\n", *printed[place + 1 :]]

@@ -52,7 +52,7 @@ def port() -> Iterator[int]:
         yield listener.getsockname()[1]
 
 
-def test_a_slow_name_is_outside_the_limit_and_looked_up_once(
+def test_a_slow_lookup_runs_once_and_outside_the_limit(
     resolve: Callable[..., Resolver],
     port: int,
     caplog: pytest.LogCaptureFixture,
@@ -67,7 +67,7 @@ def test_a_slow_name_is_outside_the_limit_and_looked_up_once(
     assert re.match(r"slow\.local takes 0\.\d s to resolve: give its number instead, 127\.0\.0\.1, or ", line)
 
 
-def test_a_name_is_looked_up_beside_the_connection_once_its_address_fails(
+def test_a_failed_address_starts_a_lookup_beside_the_connection(
     resolve: Callable[..., Resolver], port: int
 ) -> None:
     resolver = resolve({"moves.lan": ["127.0.0.1"]})
@@ -89,7 +89,7 @@ def test_an_unknown_name_is_named_and_tried_again(resolve: Callable[..., Resolve
 
 
 @pytest.mark.parametrize("host", ["a" * 64, "a..b", "\udcff", "a\0b", "x" * 100_000])
-def test_what_is_no_name_is_an_error_of_the_system(host: str, port: int) -> None:
+def test_an_impossible_name_is_an_error_of_the_system(host: str, port: int) -> None:
     with pytest.raises(OSError, match="cannot be resolved"):
         hosts.connect(host, port, 1.0)
 
@@ -115,7 +115,7 @@ def silent() -> Iterator[int]:
             yield full.getsockname()[1]
 
 
-def test_a_host_that_is_silent_is_given_up_at_the_limit(silent: int) -> None:
+def test_a_silent_host_is_given_up_at_the_limit(silent: int) -> None:
     with pytest.raises(TimeoutError, match=r"no answer within 0\.3 s"):
         hosts.dial([(socket.AF_INET, ("127.0.0.1", silent))], 0.3, threading.Event())
 
@@ -131,7 +131,7 @@ def test_stopping_ends_the_wait(resolve: Callable[..., Resolver], silent: int, t
     assert time.monotonic() - started_s < 2.0
 
 
-def test_a_lookup_that_never_ends_is_waited_for_with_a_limit(
+def test_an_endless_lookup_is_waited_for_with_a_limit(
     resolve: Callable[..., Resolver], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.DEBUG)

@@ -95,7 +95,7 @@ def test_the_status_is_sent_once_for_each_change() -> None:
     assert calls.raised(STATUS) == ["up", "down", "up", "down"]
 
 
-def test_two_links_with_one_prefix_say_so_and_keep_the_status_up(caplog: pytest.LogCaptureFixture) -> None:
+def test_two_links_with_one_prefix_warn_and_stay_up(caplog: pytest.LogCaptureFixture) -> None:
     calls, other = CallLog(), States()
     with StubRobot(calls.add) as robot, linked(robot) as (link, states):
         states.wait_for("up")
@@ -113,7 +113,7 @@ def test_two_links_with_one_prefix_say_so_and_keep_the_status_up(caplog: pytest.
     assert calls.raised(STATUS) == ["up", "down", "up", "up", "degraded", "down"]
 
 
-def test_a_robot_that_comes_and_goes_is_logged_once_and_reported(caplog: pytest.LogCaptureFixture) -> None:
+def test_each_change_of_the_robots_state_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     with robot_and_link() as (robot, link, calls, states):
         link.set_status("degraded")
@@ -132,7 +132,7 @@ def test_a_robot_that_comes_and_goes_is_logged_once_and_reported(caplog: pytest.
     assert up.startswith(f"robot {URL} is up (after ")
 
 
-def test_a_robot_that_is_away_is_tried_ever_less_often_and_logged_once(
+def test_an_absent_robot_is_tried_less_often_and_logged_once(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     caplog.set_level(logging.INFO)

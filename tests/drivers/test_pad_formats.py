@@ -179,7 +179,7 @@ def test_negative_values_are_cut_at_0(values: tuple[float, float]) -> None:
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_a_frame_with_a_cell_that_is_no_number_is_refused(value: float) -> None:
+def test_a_frame_with_an_infinite_or_nan_cell_is_refused(value: float) -> None:
     described = MORE["floats"]
     cells = counts_of(9).astype(np.float32)
     cells[3, 5] = value
@@ -190,7 +190,7 @@ def test_a_frame_with_a_cell_that_is_no_number_is_refused(value: float) -> None:
 
 
 @pytest.mark.parametrize(("order", "cells"), [("big", [0xABC, 0xDEF]), ("little", [0xDAB, 0xEFC])])
-def test_two_cells_of_12_bits_lie_in_three_bytes(order: Literal["big", "little"], cells: list[int]) -> None:
+def test_two_cells_of_12_bits_take_three_bytes(order: Literal["big", "little"], cells: list[int]) -> None:
     described = PadFormat(header="aaabac", cell="u12", order=order, rows=4, columns=4, full_scale=4095)
     (frame,) = FrameParser(described).feed(b"\xaa\xab\xac" + b"\xab\xcd\xef" * 8 + b"\xaa\xab\xac", 0.0)
     sent = np.tile(np.array(cells, np.uint16), 8)

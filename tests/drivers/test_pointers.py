@@ -91,7 +91,7 @@ def test_a_click_strikes_as_a_pat_does(click_s: float) -> None:
 
 # Those that the network is sure of; docs/live.md has the figures of all.
 @pytest.mark.parametrize("name", ["three pats", "still hand", "fingertips, scratching for 2 s"])
-def test_what_visitors_do_is_named(classifier: Classifier, name: str) -> None:
+def test_gestures_made_with_the_pointer_are_recognised(classifier: Classifier, name: str) -> None:
     (kind,) = (kind for kind in KINDS if kind.name == name)
     names = [named(classifier, counts_of(kind, seed)) for seed in range(SEEDS)]
     assert names.count(kind.gesture) >= SEEDS - 1, names

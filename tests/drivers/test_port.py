@@ -63,7 +63,7 @@ def test_a_port_that_cannot_work_is_refused_in_one_line(port: str, baud: int, me
     assert "\n" not in str(refusal.value)
 
 
-def test_the_ports_that_are_there_are_named_beside_one_that_is_not(
+def test_a_missing_port_is_reported_with_the_existing_ones(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(pad_port, "DEV", tmp_path)
@@ -105,7 +105,7 @@ def test_an_address_that_does_not_answer_is_missing() -> None:
     assert sensor_error("tcp://pad:4000", OSError(errno.EHOSTDOWN, "Host is down")).kind == "missing"
 
 
-def test_missing_permission_is_said_until_it_is_there(caplog: pytest.LogCaptureFixture) -> None:
+def test_missing_permission_is_reported_until_it_is_granted(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     with FakePort(stream_of(), encode_fabric_grid) as port:
         os.chmod(port.path, 0)
@@ -216,7 +216,7 @@ def test_a_lost_datagram_loses_only_its_frame() -> None:
     assert parser.counts.bad == 60 - len(kept)
 
 
-def test_a_quiet_udp_pad_is_read_as_fast_as_it_sends() -> None:
+def test_a_quiet_udp_pad_is_read_at_its_rate() -> None:
     queue = FrameQueue()
     with udp_pad() as (address, give):
         sensor = Sensor(address, 0, FabricGrid(), queue)
@@ -285,7 +285,7 @@ def test_a_pad_may_have_an_ipv6_address() -> None:
         assert read_waiting(opened, FabricGrid()) == PACKETS[0]
 
 
-def test_an_ftdi_adapter_is_told_to_pass_bytes_on_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_ftdi_adapter_is_set_to_low_latency(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[bool] = []
     monkeypatch.setattr(serial.Serial, "set_low_latency_mode", lambda _, is_on: asked.append(is_on))
     with FakePort(stream_of(5), encode_fabric_grid) as port, open_port(port.path, BAUD):

@@ -169,7 +169,7 @@ def test_realigning_joins_the_two_halves_of_each_scan() -> None:
     assert realign(live) is live
 
 
-def test_a_spliced_stream_has_spans_and_a_clock_that_restarts_for_another_pad() -> None:
+def test_a_spliced_streams_clock_restarts_for_another_pad() -> None:
     stream = splice([made("P1", "notouch", 5), made("P1", "rub", 3, first_ms=900), made("P2", "rub", 3)])
     assert stream.counts.shape == (11, 8, 8)
     assert [(span.start, span.stop, span.gesture) for span in stream.spans] == [
@@ -225,9 +225,7 @@ def test_a_replaced_file_keeps_its_owner_and_permissions(
     assert groups == ([before.stat().st_gid] if may_write else [])
 
 
-def test_a_file_is_on_the_disk_before_it_takes_its_name(
-    before: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_is_synced_before_it_gets_its_name(before: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     synced: list[tuple[bytes, str]] = []
     monkeypatch.setattr(os, "fsync", lambda file: synced.append((os.pread(file, 99, 0), before.read_text())))
     # As a program that was killed leaves it.

@@ -70,7 +70,7 @@ def session(robot: Robot, client: str) -> Iterator[RobotSession]:
         yield session
 
 
-def test_an_answer_is_raised_under_the_prefix_and_removed_at_the_end(robot: Robot, client: str) -> None:
+def test_an_answer_is_raised_under_the_prefix_and_later_removed(robot: Robot, client: str) -> None:
     with linked(robot, client=client, prefix="Pad") as (link, _):
         link.put(*message("stroke", confidence=0.75, time_s=1_790_000_000.25, touch=7, sequence=12))
         robot.calls.wait_for_raise("Pad/Gesture", "stroke")
@@ -106,7 +106,7 @@ def test_a_value_comes_back_as_it_was_sent(session: RobotSession, value: object)
         ("ALMemory", "getData", ("Pad/Nothing",), "no data named Pad/Nothing"),
     ],
 )
-def test_what_a_robot_cannot_do_is_refused_and_the_session_goes_on(
+def test_a_refused_call_does_not_end_the_session(
     session: RobotSession, service: str, method: str, arguments: tuple[object, ...], complaint: str
 ) -> None:
     with pytest.raises(RobotRefused, match=complaint):
@@ -155,7 +155,7 @@ def test_unsupported_actions_are_skipped(caplog: pytest.LogCaptureFixture, clien
 
 
 @pytest.mark.parametrize("content", ["print 'hello'", "raise ImportError('libqi.so: no such file')"])
-def test_a_qi_that_cannot_be_loaded_is_reported_in_one_line(
+def test_a_failure_to_load_qi_is_reported_in_one_line(
     content: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "qi.py").write_text(content)
@@ -216,7 +216,7 @@ def test_a_robot_without_its_memory_is_down_and_says_why(either: str) -> None:
         assert "looking for ALMemory" in states.wait_for("down")
 
 
-def test_an_action_that_takes_too_long_is_cut_with_those_after_it(either: str) -> None:
+def test_an_overlong_action_is_cut_with_those_after_it(either: str) -> None:
     limits = RobotLimits(action_s=0.3)
     with Robot(say_s=1.5) as robot, linked(robot, client=either, limits=limits, acts=True) as (link, states):
         states.wait_for("up")
@@ -228,7 +228,7 @@ def test_an_action_that_takes_too_long_is_cut_with_those_after_it(either: str) -
 
 
 @pytest.mark.parametrize("is_right", [True, False])
-def test_a_login_connects_if_it_is_right_and_never_shows_the_token(
+def test_only_the_right_login_connects_and_no_token_is_shown(
     is_right: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture, either: str
 ) -> None:
     caplog.set_level(logging.DEBUG)

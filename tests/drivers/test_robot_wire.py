@@ -145,7 +145,7 @@ NO_ROBOT = "does not speak NAOqi's protocol"
         pytest.param(HEADER.pack(MAGIC, 9, 2**32 - 1, 0, 5, 0, 0, 0, 8), NO_ROBOT, id="an event of 4 GB"),
     ],
 )
-def test_what_is_no_robot_is_down_with_advice(message: bytes, complaint: str) -> None:
+def test_anything_but_a_robot_is_down_with_advice(message: bytes, complaint: str) -> None:
     with robot_of(lambda _: message) as robot, pytest.raises(RobotLost, match=complaint):
         robot.connect()
 
@@ -182,7 +182,7 @@ def test_every_wait_has_its_limit(attack: Attack, is_stopping: bool) -> None:
         assert time.monotonic() - started_s < AT_ONCE_S
 
 
-def test_a_robot_that_dies_within_a_message_is_lost_at_once() -> None:
+def test_a_robot_that_dies_mid_message_is_lost_at_once() -> None:
     with (
         session_with(lambda client, _: client.sendall(logged_in(1)[:40])) as robot,
         pytest.raises(RobotLost, match=r"connecting: (disconnected|Connection reset)"),
@@ -248,7 +248,7 @@ def test_a_service_in_another_process_has_its_own_connection() -> None:
     ],
     ids=["its process is away", "no port", "unreadable"],
 )
-def test_a_service_out_of_reach_is_refused_and_the_session_goes_on(
+def test_an_unreachable_service_is_refused_but_the_session_continues(
     found: Callable[[], bytes], complaint: str
 ) -> None:
     with robot_of(after_login(lambda sent: said(REPLY, sent[0], found()))) as robot:
@@ -258,7 +258,7 @@ def test_a_service_out_of_reach_is_refused_and_the_session_goes_on(
         assert robot.connected()
 
 
-def test_a_refused_service_is_found_again_and_its_fitting_method_called() -> None:
+def test_a_refused_service_is_looked_up_with_its_methods_again() -> None:
     asked: list[int] = []
 
     def answer(sent: Sent) -> bytes:
@@ -353,7 +353,7 @@ changes = st.lists(st.tuples(within, st.integers(0, 40), st.binary(max_size=40))
     st.one_of(st.binary(max_size=300), st.builds(damaged, changes, within)),
     st.lists(st.integers(1, 2000), max_size=20),
 )
-def test_any_bytes_at_any_cut_end_in_an_answer_or_a_lost_robot(sent: bytes, sizes: list[int]) -> None:
+def test_any_bytes_lead_to_an_answer_or_a_lost_robot(sent: bytes, sizes: list[int]) -> None:
     pieces: list[bytes] = []
     for size in sizes:
         pieces, sent = [*pieces, sent[:size]], sent[size:]

@@ -77,7 +77,7 @@ PLAIN = PadFormat(framing="text", full_scale=255)
         (PLAIN, 4, 6, (4, 6), 2),
     ],
 )
-def test_rows_and_columns_are_turned_only_if_told_wrongly(
+def test_sides_are_swapped_only_if_they_were_given_wrongly(
     described: PadFormat, rows: int, columns: int, told: tuple[int, int], seed: int
 ) -> None:
     found = search(chunks_of(replace(described, rows=rows, columns=columns), seed), told).proposed

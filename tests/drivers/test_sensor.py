@@ -76,7 +76,7 @@ WITHOUT_CLOCK = PadFormat(framing="text", rows=10, columns=10, crop=1)
     ],
     ids=["quiet", "touched", "quiet, without a clock"],
 )
-def test_a_quiet_pad_with_a_clock_is_read_three_frames_at_once(
+def test_three_frames_of_a_quiet_pad_are_read_together(
     encode: Encode, parser: FrameParser, together: int, read: int
 ) -> None:
     queue = FrameQueue()
@@ -96,7 +96,7 @@ def test_a_quiet_pad_with_a_clock_is_read_three_frames_at_once(
 
 
 @once_in_three
-def test_a_fast_pads_frames_do_not_fill_its_port_meanwhile() -> None:
+def test_a_fast_pads_frames_do_not_fill_its_port() -> None:
     queue = FrameQueue()
     with FakePort(stream_of(500), encode_fabric_grid, speed=9.0) as port:
         sensor = Sensor(port.path, BAUD, FabricGrid(), queue)
@@ -166,7 +166,7 @@ def test_a_silent_pad_is_down_until_it_sends_again(caplog: pytest.LogCaptureFixt
     assert caplog.records[-1].message.startswith(f"frames arrive from {port.path} again; ")
 
 
-def test_a_board_that_starts_late_is_not_called_another_pad(
+def test_a_board_that_starts_late_is_not_another_pad(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     # As an Arduino does: opening the port restarts it, and its boot loader takes a second or two.
@@ -292,7 +292,7 @@ def test_another_program_that_takes_bytes_is_reported_until_it_ends() -> None:
         assert next_frames(queue, 5)[0].host_s - last_s > 0.5
 
 
-def test_a_pad_that_comes_back_under_another_name_is_said(
+def test_a_pad_that_returns_under_another_name_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("touchd.drivers.pad.port.DEV", tmp_path)

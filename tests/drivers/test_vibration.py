@@ -98,7 +98,7 @@ def test_a_saturated_taxel_under_hum_stays_in_range() -> None:
     assert frames.max() == 1023
 
 
-def test_a_pad_cut_off_at_the_top_stays_finite() -> None:
+def test_a_pad_clipped_at_the_top_stays_finite() -> None:
     counts = 500.0 + hum(540, counts=3.0)
     counts[265:, :5] += 523.0
     assert np.isfinite(laid(np.clip(np.rint(counts), 0, 1023).astype(np.uint16))).all()

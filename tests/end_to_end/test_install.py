@@ -368,7 +368,7 @@ def test_the_installed_program_runs(make: Make, tmp_path: Path, source: Path) ->
     assert files_in(tmp_path / "opt") == set()
 
 
-def test_torch_comes_from_no_other_index_than_said(make: Make, tmp_path: Path) -> None:
+def test_torch_comes_only_from_the_given_index(make: Make, tmp_path: Path) -> None:
     # It notes what it is asked for, and fails where the index is away.
     venv = tmp_path / "venv"
     (python := venv / "bin/python").parent.mkdir(parents=True)

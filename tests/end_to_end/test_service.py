@@ -173,7 +173,7 @@ def test_dropped_frames_are_logged_until_the_queue_is_empty(caplog: pytest.LogCa
     assert int(processed) + int(dropped) == 600
 
 
-def test_an_overloaded_daemon_stops_in_time_and_counts_what_is_left(
+def test_an_overloaded_daemon_stops_in_time_and_counts_the_rest(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level("INFO")

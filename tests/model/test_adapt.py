@@ -96,7 +96,7 @@ def words(lines: Iterable[str]) -> str:
 
 
 @pytest.mark.parametrize("rest_counts", [5, 60])
-def test_a_high_rest_is_taken_out_of_recordings(tmp_path: Path, rest_counts: int) -> None:
+def test_a_high_rest_is_subtracted_from_recordings(tmp_path: Path, rest_counts: int) -> None:
     made = [
         replace(each, counts=each.counts + np.uint16(rest_counts))
         for each in simulated(("Ann",), 1, ("notouch", "pat"))
@@ -480,7 +480,7 @@ def test_a_short_touch_is_read_with_the_rest_around_it(
     assert read == ([found] if found else [])
 
 
-def test_train_counts_the_saved_touches_that_it_passes_over(
+def test_train_counts_the_saved_touches_that_it_skips(
     pretrained: Pretrained,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,

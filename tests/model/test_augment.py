@@ -59,7 +59,7 @@ def test_a_disturbed_window_stays_in_range(name: str) -> None:
     assert 0 <= disturbed.min() <= disturbed.max() <= 1023
 
 
-def test_a_crop_is_played_at_another_pace() -> None:
+def test_a_crop_may_have_a_different_pace() -> None:
     own = AugmentationSettings(published_framing=0.0, change_pace=1.0, pace=0.25)
     ramp = torch.arange(432.0)[:, None, None].expand(432, 8, 8)
     rng = torch.Generator().manual_seed(0)

@@ -39,7 +39,7 @@ def refusal(path: Path) -> str:
     return message.removeprefix(f"{path}: ")
 
 
-def test_the_shipped_model_says_what_it_is(classifier: Classifier) -> None:
+def test_the_shipped_model_describes_itself(classifier: Classifier) -> None:
     assert SHIPPED_MODEL.stat().st_size <= 5_000_000
     assert load_own(SHIPPED_MODEL).metadata == classifier.metadata
     assert classifier.labels == GESTURES

@@ -60,7 +60,7 @@ def test_every_network_has_a_detector_that_saw_no_more_people(fold: tuple[str, .
     assert set(fold) <= set(detector_for(model).training["left_out"])
 
 
-def test_the_fabric_network_has_a_detector_that_never_met_the_pad() -> None:
+def test_the_fabric_networks_detector_never_met_the_third_pad() -> None:
     assert detector_for(Classifier.load(FABRIC_MODEL)).training["left_out_study"] == "third"
 
 

@@ -101,7 +101,7 @@ def test_an_empty_folder_is_filled_and_checked(tmp_path: Path, address: str) -> 
     ],
     ids=["both files", "one file and the archive"],
 )
-def test_what_is_there_is_used_without_a_network(tmp_path: Path, there: dict[str, bytes]) -> None:
+def test_existing_files_are_used_without_a_network(tmp_path: Path, there: dict[str, bytes]) -> None:
     for name, content in there.items():
         (tmp_path / name).write_bytes(content)
     before = (tmp_path / TRAINING_FILE).stat().st_ino

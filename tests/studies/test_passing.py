@@ -30,7 +30,7 @@ def recording(
 PATS = [(0, 10), (30, 38), (60, 68), (90, 98), (390, 400)]
 
 
-def test_the_whole_contacts_of_a_pat_are_found() -> None:
+def test_the_complete_contacts_of_a_pat_are_found() -> None:
     found = contacts(recording("pat", PATS), is_soft=False)
     assert [(abs(a - c) <= 1, abs(b - d) <= 1) for (a, b), (c, d) in zip(found, PATS[1:4], strict=True)] == [
         (True, True)
@@ -99,7 +99,7 @@ def test_rest_is_never_made_a_touch_in_passing() -> None:
     assert torch.equal(weights, torch.ones(8, 3))
 
 
-def test_nothing_is_asked_long_after_the_hand_has_left() -> None:
+def test_answers_long_after_the_hand_left_have_no_weight() -> None:
     frames, passing, rng = set_up(recording("pat", PATS))
     chosen = torch.ones(32, dtype=torch.long)
     lengths = torch.tensor([9, 144]).expand(32, -1)

@@ -112,7 +112,7 @@ def test_each_of_several_networks_learns_from_its_own_people() -> None:
 
 
 @pytest.mark.parametrize("way", [vectorized, sequential])
-def test_a_network_side_by_side_answers_as_it_does_alone(way: Callable[[nn.Module], Ask]) -> None:
+def test_networks_trained_in_parallel_answer_as_trained_alone(way: Callable[[nn.Module], Ask]) -> None:
     still = [msgspec.structs.replace(each, network=CALM) for each in SIDE_BY_SIDE]
     training = Training(recordings(PEOPLE), still, DEVICE)
     windows = torch.rand(3, 2, 12, 8, 8) * 100.0

@@ -104,7 +104,7 @@ def test_the_same_share_is_unknown_on_every_pad() -> None:
     assert 0.1 < float(soft.float().mean()) < 0.6
 
 
-def test_an_unknown_touch_is_no_tickle_on_any_pad() -> None:
+def test_an_unknown_touch_is_never_tickle_on_any_pad() -> None:
     torch.manual_seed(1)
     drawn = TouchSampler([*known(), *strange()], LABELS, OWN).draw(128)
     assert drawn.possible[drawn.unknown == 1.0].all()
@@ -151,7 +151,7 @@ def test_a_new_answer_begins_unlikely() -> None:
     assert (after[:, 7] < after[:, :7].amax(dim=1)).all()
 
 
-def test_a_model_file_gives_its_network_back() -> None:
+def test_a_model_file_restores_its_network() -> None:
     saved = checkpoint.restored(SHIPPED_MODEL)
     model = Classifier.load()
     counts = np.stack([each.counts[:T] for each in known()[:4]]).astype(np.float32)
