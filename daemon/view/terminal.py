@@ -66,8 +66,10 @@ def listening(on_key: Callable[[str], None]) -> Iterator[None]:
     before = termios.tcgetattr(fd)
     ended = threading.Event()
     reader = threading.Thread(target=_read, args=(fd, on_key, ended), name="touchd-keys", daemon=True)
-    # Not raw: Ctrl-C still ends the program.
+    # Not raw: Ctrl-C still ends the program. Ctrl-S would stop the output, and the end waits for that.
     tty.setcbreak(fd)
+    flags, *others = termios.tcgetattr(fd)
+    termios.tcsetattr(fd, termios.TCSANOW, [flags & ~termios.IXON, *others])
     reader.start()
     try:
         yield

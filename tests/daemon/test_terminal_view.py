@@ -27,6 +27,7 @@ from touchd.daemon.path.events import Prediction, RobotAction, RobotEvent, Senso
 from touchd.daemon.robot.words import name_of, words_of
 from touchd.daemon.sinks.labels import Labeller, keys_of
 from touchd.daemon.view.elements import big
+from touchd.daemon.view.terminal import listening
 from touchd.daemon.view.view import View
 from touchd.drivers.frame import CLOCK_MODULUS, DEFAULT_PAD, Frame
 
@@ -247,4 +248,18 @@ def test_resizing_ctrl_z_and_ending_leave_the_terminal_clean() -> None:
     assert b"\x1b[?1049l" in left
     assert b"\x1b[?25h" in left
     os.close(slave)
+    os.close(master)
+
+
+def test_ctrl_s_does_not_hold_up_the_output(monkeypatch: pytest.MonkeyPatch) -> None:
+    master, slave = pty.openpty()
+    with os.fdopen(slave) as terminal:
+        monkeypatch.setattr("sys.stdin", terminal)
+        with listening(lambda key: None):
+            os.write(master, b"\x13")
+            os.write(slave, b"shown")
+            try:
+                read_until(master, b"shown")
+            finally:
+                os.write(master, b"\x11")
     os.close(master)
