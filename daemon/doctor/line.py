@@ -52,6 +52,9 @@ def check_protocol(
         return Check("protocol", "ok", f"{described}{at_baud(sensor.port, sensor.baud)}, as configured")
     if not sample.data:
         advice = "is it the pad's port? press the reset button of its board; unplug it; flash its firmware"
+        if sensor.port.startswith("udp://"):
+            number = sensor.port.rpartition(":")[2]
+            advice = f"does the board send to this computer, port {number}? sudo ufw allow {number}/udp"
         return Check("protocol", "to do", f"no data within {START_S:g} s", advice)
     has_bauds = not is_text(sample.data) and "://" not in sensor.port
     if has_bauds and (baud := _other_baud(sensor, opened)):

@@ -57,6 +57,8 @@ def _why_not_by_number(device: str) -> str:
 def advice_for(port: str, error: SensorError) -> str:
     """Return what to do about a port that cannot be opened or read."""
     if "://" in port:
+        if error.kind == "busy":
+            return "end the other program (sudo ss -lunp names it), or have the board send to another port"
         missing = "is the pad's board switched on, in this network, and no other program connected to it?"
         return missing if error.kind == "missing" else ""
     if error.kind in ("busy", "shared"):

@@ -44,6 +44,13 @@ def test_a_line_without_frames_is_recognised(
     assert advice in check.advice
 
 
+def test_silence_at_a_network_port_points_to_the_firewall() -> None:
+    sensor = SensorSettings(port="udp://127.0.0.1:0")
+    with open_port(sensor.port, sensor.baud) as opened:
+        seen = listen(opened, FrameParser(sensor.described), 0.0, start_s=0.0)
+        assert "ufw allow" in check_protocol(seen, sensor, opened, lambda: search([], None)).advice
+
+
 def protocol_of(pad: FakePort, sensor: SensorSettings = SETTINGS.sensor) -> Check:
     with pad, open_port(pad.path, 512_000) as opened:
         seen = listen(opened, FrameParser(sensor.described), 1.0, start_s=1.5)
