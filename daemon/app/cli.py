@@ -36,7 +36,7 @@ COMMANDS = {
     "config": "prints an example configuration, every setting explained",
     "docs": "prints a page of the documentation",
     "doctor": "checks pad, model and robot; says what to do",
-    "bench": "measures latency, processor, memory, start-up and speed",
+    "bench": "measures latency, processor, memory and start-up",
 }
 """What each subcommand does; its module in `commands` is imported only when it is called."""
 

@@ -11,7 +11,7 @@ from touchd.daemon.playback.stream import add_arguments, chosen_stream, play
 from touchd.daemon.robot.words import words_of
 from touchd.daemon.view.describe import describe
 
-DESCRIPTION = "Sends recordings through the daemon's pipeline, with notouch before, between and after."
+DESCRIPTION = "Sends recordings through the daemon's pipeline, with an untouched pad between them."
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:

@@ -64,7 +64,7 @@ What to try next:
   {touchd} doctor         looks for a pad and a robot, and says what to do
   {touchd} docs install   how to wire a real pad and a real Nao
 """
-DESCRIPTION = "Needs no pad, no robot and no network."
+DESCRIPTION = "Runs the daemon on a simulated pad, with --live until Ctrl-C; needs no pad, robot or network."
 
 
 class PlainLines:

@@ -24,7 +24,7 @@ ROUNDS = 2
 # once take half a minute.
 SECONDS = 6.0
 DESCRIPTION = (
-    "Records every gesture twice, and a single pat and stroke, adapts the shipped model to "
+    "Records every gesture, a single pat and a single stroke, each twice, adapts the shipped model to "
     "the recordings, and prints how often it was right before and after, and how to use the new model. "
     "Repeat the command if interrupted."
 )
