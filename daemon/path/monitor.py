@@ -20,6 +20,7 @@ from touchd.drivers.frame import (
     Frame,
     SensorState,
 )
+from touchd.drivers.pace import steps_ms
 from touchd.drivers.pad.parser import FrameParser
 from touchd.model.detector import REST_FRAMES
 
@@ -202,7 +203,9 @@ class TaxelFaults:
 
     def update(self, block: Sequence[Frame]) -> None:
         """Take frames of an untouched pad, the first of which was the last of those before."""
-        pressure, passed_s = np.stack([frame.pressure for frame in block]), passed(block)
+        # A step of more than a second counts as one.
+        passed_s = float(np.minimum(steps_ms(block), 1000).sum()) / 1000
+        pressure = np.stack([frame.pressure for frame in block])
         changed = (pressure[1:] != pressure[:-1]).mean(axis=0)
         self._still_s = np.where(changed > 0, 0.0, self._still_s + passed_s)
         if self._first_s < STILL_S:
@@ -213,12 +216,6 @@ class TaxelFaults:
         self.found = {}
         if seldom_changed > NOISY_SHARE * self._first_s:
             self.found = {"frozen": FAULTS["frozen"].words} if is_still.all() else _still_parts(is_still)
-
-
-def passed(frames: Sequence[Frame]) -> float:
-    """Return how long frames took by the pad's clock, in s; a step of more than 1 s counts as 1 s."""
-    clock_ms = np.array([frame.sensor_ms for frame in frames], dtype=np.int64)
-    return float(np.minimum(np.diff(clock_ms) % CLOCK_MODULUS / 1000, 1.0).sum())
 
 
 def _still_parts(is_still: NDArray[np.bool_]) -> dict[str, str]:

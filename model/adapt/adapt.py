@@ -31,7 +31,7 @@ from touchd.model.tgc import TGC
 
 SETTINGS = AdaptSettings()
 # The sources that decide any training's result.
-SOURCES = ("adapt/augment.py", "adapt/head.py", "tgc.py", "settings.py")
+SOURCES = ("adapt/augment.py", "adapt/backbone.py", "adapt/head.py", "tgc.py", "settings.py")
 # How many more times `other` is rehearsed if nobody recorded it. After adapting to three people and a gesture
 # of their own, 37 % of other people's touches that are none of the gestures are still `other` (44 before);
 # without it 17 %.

@@ -33,7 +33,7 @@ ARRAYS = ("means", "directions", "rests")
 AS_IT_IS = {"published_framing": 0.0, "change_pace": 0.0, "onset": 0.0}
 # A touch's first frame is up to three frames too early or two too late.
 EARLIEST_FRAMES, LATEST_FRAMES = 3, 2
-# The daemon answers an ended touch 13 frames after its last contact.
+# The daemon answers an ended touch 13 frames after its last contact; training varies this, and the pace.
 AFTER_FRAMES = 13
 ANSWERED_FRAMES = (9, 20)
 PACE = 0.2

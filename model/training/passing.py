@@ -15,19 +15,15 @@ from torch import Tensor
 from touchd.drivers.frame import NO_TOUCH, OTHER, ROWS
 from touchd.drivers.recording import Recording
 from touchd.model.adapt.augment import Frames
+from touchd.model.adapt.backbone import ANSWERED_FRAMES, EARLIEST_FRAMES, LATEST_FRAMES, PACE
 from touchd.model.training.contacts import LEAVES, contacts, rests_of, shift_of_rest
 
 # A piece of a gesture without lift-offs, or several contacts together, last 0.3 to 2.2 s.
 LEAST_FRAMES, MOST_FRAMES = 16, 118
-# A touch's first frame, as tracked, is up to three frames too early or two too late.
-EARLIEST_FRAMES, LATEST_FRAMES = 3, 2
 # The load rises and falls within this many frames; a soft pad creeps back, so its load falls more slowly.
 FADE_FRAMES, SOFT_FADE_FRAMES = 4.0, 24.0
-# An ended touch is answered about 13 frames after its last contact.
-ANSWERED_FRAMES = (9, 20)
 # Answers have no weight from a second after the last contact on.
 FORGOTTEN_FRAMES = 54
-PACE = 0.2
 # The most contacts of a touch beyond the first; few are drawn more often than many.
 MORE_CONTACTS = {"pat": 6, "stroke": 3, OTHER: 4}
 
