@@ -66,7 +66,7 @@ class PathError(TouchdError):
     """A path begins with an unknown home."""
 
 
-def written_out(path: str) -> Path:
+def expand_home(path: str) -> Path:
     """Expand ~ and ~name at the beginning of a path; raises PathError if there is no such home."""
     try:
         return Path(path).expanduser()

@@ -52,8 +52,8 @@ def pace_of(frames: Sequence[Frame]) -> Pace:
     return Pace(1000.0 / float(steps[is_whole].mean()), float(steps[is_whole].std()), lost)
 
 
-def clock_by_ours(frames: Sequence[Frame]) -> float:
-    """Return how fast the pad's clock runs, relative to ours; 1 if the frames span less than COMPARABLE_S."""
+def relative_clock(frames: Sequence[Frame]) -> float:
+    """Return the rate of the pad's clock relative to ours; 1 if the frames span less than COMPARABLE_S."""
     since_s = np.array([frame.host_s - frames[0].host_s for frame in frames])
     if since_s[-1] < COMPARABLE_S:
         return 1.0

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from touchd.drivers.errors import TouchdError, os_errors_as, reason
 from touchd.drivers.frame import CLOCK_MODULUS, COLUMNS, FRAME_RATE_HZ, MAX_COUNT, ROWS, Counts, Frame
 from touchd.drivers.pad.grid import Ring
-from touchd.drivers.whole_file import PRIVATE_MODE, whole_file, without_waiting
+from touchd.drivers.whole_file import PRIVATE_MODE, open_nonblocking, whole_file
 
 CELLS = ROWS * COLUMNS
 SUFFIXES = (".csv", ".csv.gz")
@@ -226,7 +226,7 @@ def _keys(recording: Recording) -> Keys:
 def _lines_of(path: Path) -> Iterator[Iterator[str]]:
     """Yield the lines of a file; raises RecordingError if it turns out to be damaged."""
     try:
-        with open(path, "rb", opener=without_waiting) as file:
+        with open(path, "rb", opener=open_nonblocking) as file:
             unpacked = cast(io.BufferedReader, gzip.GzipFile(fileobj=file) if path.suffix == ".gz" else file)
             # utf-8-sig: spreadsheets begin a file with a byte order mark.
             yield _lines(path, io.TextIOWrapper(unpacked, encoding="utf-8-sig", newline=""))

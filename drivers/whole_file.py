@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from touchd.drivers.errors import TouchdError, reason, written_out
+from touchd.drivers.errors import TouchdError, expand_home, reason
 
 PARTIAL = ".partial-"
 # For files about people: recordings, the journal, and what is derived from them.
@@ -70,7 +70,7 @@ def _take_over(path: Path, partial: Path) -> None:
     partial.chmod(before.st_mode & 0o7777)
 
 
-def without_waiting(path: str, flags: int) -> int:
+def open_nonblocking(path: str, flags: int) -> int:
     """Open a file to read, as `open`'s opener: an unconnected pipe reads as empty, a device is refused."""
     fd = os.open(path, flags | os.O_NONBLOCK)
     mode = os.fstat(fd).st_mode
@@ -85,7 +85,7 @@ def secret_in(file: str, setting: str, kind: type[TouchdError]) -> str:
     """Return the password or token in a file; raises `kind` with the setting that names the file."""
     try:
         # An editor on Windows may write a byte order mark.
-        with open(written_out(file), encoding="utf-8-sig", opener=without_waiting) as opened:
+        with open(expand_home(file), encoding="utf-8-sig", opener=open_nonblocking) as opened:
             secret = opened.read(MOST_SECRET + 1).strip()
     except (OSError, UnicodeDecodeError) as error:
         raise kind(f"{setting} {file} cannot be read ({reason(error)}); check path and owner") from error

@@ -28,7 +28,7 @@ from touchd.daemon.path.decide import DecisionSettings
 from touchd.daemon.path.pipeline import PipelineSettings
 from touchd.daemon.path.tracker import TouchSettings
 from touchd.daemon.robot.actions import ActionRule, Name
-from touchd.drivers.errors import TouchdError, written_out
+from touchd.drivers.errors import TouchdError, expand_home
 from touchd.drivers.frame import DEFAULT_PAD, ROWS
 from touchd.drivers.pad.format import PRESETS, PadFormat, SentFormat
 from touchd.drivers.robot.session import RobotSettings
@@ -123,11 +123,11 @@ class JournalSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     def file(self) -> Path:
         """The file: path, or by default one in the service's or the user's state folder."""
         if self.path is not None:
-            return written_out(self.path)
+            return expand_home(self.path)
         if service := os.environ.get("STATE_DIRECTORY"):
             return Path(service) / "events.jsonl"
         users = os.environ.get("XDG_STATE_HOME") or "~/.local/state"
-        return written_out(users) / "touchd" / "events.jsonl"
+        return expand_home(users) / "touchd" / "events.jsonl"
 
 
 class LiveSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

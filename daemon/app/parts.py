@@ -21,7 +21,7 @@ from touchd.daemon.sinks.journal import open_journal
 from touchd.daemon.sinks.labels import Labeller
 from touchd.daemon.sinks.sink import Sink
 from touchd.daemon.sinks.touch_store import TouchSink, touch_sink
-from touchd.drivers.errors import written_out
+from touchd.drivers.errors import expand_home
 from touchd.drivers.frame import COLUMNS, NO_TOUCH, OTHER, ROWS
 from touchd.drivers.installed import EXTRAS, how_to_install
 from touchd.drivers.pad.parser import FrameParser
@@ -152,7 +152,7 @@ def load_models(settings: Settings) -> dict[str, Classifier]:
     models: dict[str, Classifier] = {}
     for name, pad in settings.pads.items():
         if pad.model not in by_file:
-            by_file[pad.model] = Classifier.load() if pad.model is None else load_own(written_out(pad.model))
+            by_file[pad.model] = Classifier.load() if pad.model is None else load_own(expand_home(pad.model))
         models[name] = by_file[pad.model]
         # The shipped model fits the scene by default.
         if pad.model is not None or pad.scene != SceneSettings():

@@ -17,7 +17,7 @@ from touchd.daemon.bridges.bridge import MOST_FRAMES, POLL_S, Bridge, BridgeErro
 from touchd.daemon.bridges.settings import MqttSettings
 from touchd.daemon.path.events import UNCERTAIN, Event, SensorEvent, TouchBegan, TouchEnded, encode, timestamp
 from touchd.drivers import hosts
-from touchd.drivers.errors import written_out
+from touchd.drivers.errors import expand_home
 from touchd.drivers.frame import Frame
 from touchd.drivers.whole_file import secret_in
 
@@ -91,7 +91,7 @@ class MqttBridge(Bridge):
         if settings.tls:
             file = settings.ca_file
             try:
-                tls = ssl.create_default_context(cafile=str(written_out(file)) if file else None)
+                tls = ssl.create_default_context(cafile=str(expand_home(file)) if file else None)
             except OSError as error:
                 why = f"mqtt.ca_file: {file} cannot be used ({error}); give a file of PEM"
                 raise BridgeError(why) from error

@@ -27,7 +27,7 @@ from touchd.daemon.doctor.port import advice_for, lasting_name
 from touchd.drivers.errors import os_errors_as, within
 from touchd.drivers.installed import program_name
 from touchd.drivers.pad.format import PadFormat
-from touchd.drivers.pad.port import Line, SensorError, at_baud, open_port
+from touchd.drivers.pad.port import Port, SensorError, at_baud, open_port
 from touchd.drivers.robot.session import RobotError
 from touchd.drivers.search.listen import USUAL_BAUDS, Chunk, likeliest_baud
 from touchd.drivers.search.search import Grid, as_yaml
@@ -184,7 +184,7 @@ def _listen(console: Console, port: str, bauds: Sequence[int], grid: Grid | None
         return Found(port, baud, _describe(console, opened, f"{port}{at_baud(port, baud)}", rates, grid))
 
 
-def _describe(console: Console, opened: Line, where: str, tried: str, grid: Grid | None) -> PadFormat | None:
+def _describe(console: Console, opened: Port, where: str, tried: str, grid: Grid | None) -> PadFormat | None:
     """Return the proven description of the sender, or print what its bytes look like and what is missing."""
     while True:
         at_rest: list[Chunk] = []

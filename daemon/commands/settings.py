@@ -10,7 +10,7 @@ from typing import NamedTuple
 import msgspec
 
 from touchd.daemon.app.config import ConfigError, SensorSettings, Settings, load
-from touchd.drivers.errors import PathError, written_out
+from touchd.drivers.errors import PathError, expand_home
 
 NAME = "touchd.yaml"
 SERVICE_FOLDER = Path("/etc/touchd")
@@ -46,7 +46,7 @@ def find_settings(given: Path | None) -> Found:
     own = [Path(NAME)]
     # In a container, a user may have no home.
     with suppress(PathError):
-        own.append(written_out(os.environ.get("XDG_CONFIG_HOME") or "~/.config") / "touchd" / NAME)
+        own.append(expand_home(os.environ.get("XDG_CONFIG_HOME") or "~/.config") / "touchd" / NAME)
     for path in own:
         if path.exists():
             return Found(load(path), path)

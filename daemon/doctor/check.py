@@ -10,7 +10,7 @@ import numpy as np
 from touchd.drivers.errors import one_line
 from touchd.drivers.frame import Counts, Frame
 from touchd.drivers.pad.parser import FrameParser
-from touchd.drivers.pad.port import Line, read_waiting
+from touchd.drivers.pad.port import Port, read_waiting
 
 # Opening the port restarts an Arduino, whose boot loader takes two seconds.
 START_S = 4.0
@@ -57,7 +57,7 @@ class Sample:
 
 
 def listen(
-    opened: Line,
+    opened: Port,
     parser: FrameParser,
     seconds: float,
     start_s: float = START_S,

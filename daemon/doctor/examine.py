@@ -13,7 +13,7 @@ from touchd.daemon.doctor.line import check_damage, check_opening, check_protoco
 from touchd.daemon.doctor.machine import check_model, check_robot
 from touchd.daemon.doctor.port import advice_for
 from touchd.drivers.pad.parser import FrameParser
-from touchd.drivers.pad.port import Line, SensorError
+from touchd.drivers.pad.port import Port, SensorError
 from touchd.drivers.search.search import Finding, Grid
 
 PRESS_S = 15.0
@@ -49,7 +49,7 @@ def examine(
 
 
 def _examine_pad(
-    settings: Settings, opened: Line, seconds: float, say: Say, talk: Console | None, grid: Grid | None
+    settings: Settings, opened: Port, seconds: float, say: Say, talk: Console | None, grid: Grid | None
 ) -> Iterator[Check]:
     sensor = settings.sensor
     say(f"Leave the pad alone for {seconds:g} s ...")

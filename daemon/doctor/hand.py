@@ -19,7 +19,7 @@ from touchd.daemon.view.elements import pad_picture
 from touchd.drivers.frame import COLUMNS, ROWS
 from touchd.drivers.pad.format import LONGEST_SIDE, SHORTEST_SIDE, PadFormat
 from touchd.drivers.pad.parser import FrameParser
-from touchd.drivers.pad.port import Line, forget_waiting, read_waiting
+from touchd.drivers.pad.port import Port, discard_input, read_waiting
 from touchd.drivers.search.listen import Chunk, listen
 from touchd.drivers.search.search import Finding, Grid, placements, search, survey
 
@@ -71,12 +71,12 @@ def add_grid(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def ask_grid(console: Console, opened: Line) -> Grid | None:
+def ask_grid(console: Console, opened: Port) -> Grid | None:
     """Print the size of the pad's frames and ask for its rows and columns; None if no frames are found.
 
     Asks again if a grid does not fit the frames.
     """
-    forget_waiting(opened)
+    discard_input(opened)
     chunks = [Chunk(b"", time.monotonic()), *listen(opened, REST_S)]
     seen = survey(chunks)
     if seen is None:
@@ -97,11 +97,11 @@ def ask_grid(console: Console, opened: Line) -> Grid | None:
             console.print(f"{seen.frame} do not fit {grid[0]}x{grid[1]} cells", style="yellow")
             grid = None
     # What arrived while the person typed is not complete.
-    forget_waiting(opened)
+    discard_input(opened)
     return grid
 
 
-def find_with_a_hand(console: Console, opened: Line, grid: Grid | None) -> tuple[Finding, list[Chunk]]:
+def find_with_a_hand(console: Console, opened: Port, grid: Grid | None) -> tuple[Finding, list[Chunk]]:
     """Ask for rest and for presses until the description is proven twice, or for PRESS_S.
 
     grid: asked for if None. Returns what was found, and what arrived before the presses.
@@ -128,7 +128,7 @@ def find_with_a_hand(console: Console, opened: Line, grid: Grid | None) -> tuple
             before = finding
 
 
-def find_without_asking(say: Callable[[str], None], opened: Line, grids: Sequence[Grid | None]) -> Finding:
+def find_without_asking(say: Callable[[str], None], opened: Port, grids: Sequence[Grid | None]) -> Finding:
     """Search what arrives while somebody may press the pad, for each of the grids; return the best."""
     say(f"press the pad: listening for {LISTEN_S:g} s ...")
     chunks = listen(opened, LISTEN_S)
@@ -153,7 +153,7 @@ def _is_again(finding: Finding, before: Finding) -> bool:
 
 
 def turned_with_a_hand(
-    console: Console, opened: Line, described: PadFormat, at_rest: Sequence[Chunk]
+    console: Console, opened: Port, described: PadFormat, at_rest: Sequence[Chunk]
 ) -> PadFormat | None:
     """Ask for the top left corner, then whether the picture follows; return the turned description.
 
@@ -172,7 +172,7 @@ def turned_with_a_hand(
     return None
 
 
-def _touched_corner(opened: Line, described: PadFormat, at_rest: Sequence[Chunk]) -> tuple[bool, bool] | None:
+def _touched_corner(opened: Port, described: PadFormat, at_rest: Sequence[Chunk]) -> tuple[bool, bool] | None:
     """Return the corner of the described pad that a hand holds, as (is below, is to the right)."""
     parser = FrameParser(described)
     # The hand may be on the pad already.
@@ -196,7 +196,7 @@ def _touched_corner(opened: Line, described: PadFormat, at_rest: Sequence[Chunk]
     return None
 
 
-def _follows(console: Console, opened: Line, described: PadFormat) -> bool:
+def _follows(console: Console, opened: Port, described: PadFormat) -> bool:
     """Show the pad and ask whether the picture follows the hand; return the answer."""
     parser = FrameParser(described)
     rest: NDArray[np.float64] | None = None

@@ -11,9 +11,9 @@ from touchd.daemon.doctor.check import START_S, Check, Sample, listen
 from touchd.daemon.doctor.port import advice_for
 from touchd.daemon.doctor.values import MANY_SHARE
 from touchd.drivers.frame import MIN_RATE_HZ
-from touchd.drivers.pace import clock_by_ours, pace_of
+from touchd.drivers.pace import pace_of, relative_clock
 from touchd.drivers.pad.parser import FrameParser
-from touchd.drivers.pad.port import Line, SensorError, at_baud, check_port, forget_waiting, open_port
+from touchd.drivers.pad.port import Port, SensorError, at_baud, check_port, discard_input, open_port
 from touchd.drivers.search.listen import USUAL_BAUDS
 from touchd.drivers.search.search import Finding, as_yaml
 from touchd.drivers.search.text import is_text
@@ -29,7 +29,7 @@ SCAN_FASTER = "have the firmware scan at 54 Hz; at 115200 baud a 10x10 frame jus
 SEND_A_CLOCK = "flash the pad's firmware again: each frame must carry the milliseconds since its start"
 
 
-def check_opening(sensor: SensorSettings) -> tuple[Check, Line | None]:
+def check_opening(sensor: SensorSettings) -> tuple[Check, Port | None]:
     """Open the port; report the device behind a link, or why opening failed and which ports there are."""
     try:
         check_port(sensor.port, sensor.baud)
@@ -41,7 +41,7 @@ def check_opening(sensor: SensorSettings) -> tuple[Check, Line | None]:
 
 
 def check_protocol(
-    sample: Sample, sensor: SensorSettings, opened: Line, find: Callable[[], Finding]
+    sample: Sample, sensor: SensorSettings, opened: Port, find: Callable[[], Finding]
 ) -> Check:
     """Report whether frames were decoded; if not, try other baud rates, then search for another format.
 
@@ -67,12 +67,12 @@ def check_protocol(
     return Check("protocol", "to do", found, f"{finding.missing}{tried}")
 
 
-def _other_baud(sensor: SensorSettings, opened: Line) -> int | None:
+def _other_baud(sensor: SensorSettings, opened: Port) -> int | None:
     """Return the usual baud rate at which frames are decoded, or None."""
     for baud in (each for each in USUAL_BAUDS if each != sensor.baud):
         with suppress(OSError, ValueError):
             opened.baudrate = baud
-            forget_waiting(opened)
+            discard_input(opened)
             if listen(opened, FrameParser(sensor.described), TRY_BAUD_S, start_s=TRY_BAUD_S).frames:
                 return baud
     return None
@@ -96,7 +96,7 @@ def check_rate(sample: Sample) -> Check:
     found = (
         f"{pace.rate_hz:.1f} frames/s, jitter {pace.jitter_ms:.1f} ms, longest wait {waits_ms.max():.0f} ms"
     )
-    clock = clock_by_ours(sample.frames)
+    clock = relative_clock(sample.frames)
     if abs(clock - 1) > CLOCK_TOLERANCE:
         found += f"; its clock runs {clock:.2f} times as fast as this machine's"
         return Check("rate", "to do", found, SEND_A_CLOCK)

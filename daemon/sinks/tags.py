@@ -18,7 +18,7 @@ import msgspec
 
 from touchd.daemon.sinks.sink import EventFanout
 from touchd.drivers.errors import TouchdError
-from touchd.drivers.whole_file import whole_file, without_waiting
+from touchd.drivers.whole_file import open_nonblocking, whole_file
 
 log = logging.getLogger(__name__)
 
@@ -80,7 +80,7 @@ def running_daemons() -> dict[Path, RunningDaemon]:
     found = {}
     folders = (str(own_folder()), *FOLDERS)
     for path in sorted({path for folder in folders for path in glob(f"{folder}/touchd-*.lock")}):
-        with suppress(OSError, msgspec.DecodeError), open(path, "rb", opener=without_waiting) as file:
+        with suppress(OSError, msgspec.DecodeError), open(path, "rb", opener=open_nonblocking) as file:
             # In /tmp, another user may have put such a file.
             if os.geteuid() not in (0, os.fstat(file.fileno()).st_uid):
                 continue

@@ -20,7 +20,7 @@ from touchd.daemon.path.events import (
 )
 from touchd.daemon.sinks.journal import FIRST_BYTES, MAX_LINE_BYTES, JournalError, journal_files
 from touchd.drivers.errors import os_errors_as
-from touchd.drivers.whole_file import without_waiting
+from touchd.drivers.whole_file import open_nonblocking
 
 # The beginning of a label's line.
 LABEL = FIRST_BYTES + b'label"'
@@ -124,7 +124,7 @@ def read_events(path: Path, begin: bytes = b"") -> tuple[list[Event], list[Event
     events: list[Event] = []
     wrong: list[EventError] = []
     reading = os_errors_as(JournalError, f"journal {path}: cannot be read", "check the path")
-    with reading, open(path, "rb", opener=without_waiting) as file:
+    with reading, open(path, "rb", opener=open_nonblocking) as file:
         while line := file.readline(MAX_LINE_BYTES):
             if not line.startswith(begin):
                 continue

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.drivers.frame import ProtocolCounts
-from touchd.drivers.pad.format import PadFormat, Sent, Values
+from touchd.drivers.pad.format import PadFormat, RawFrame, Values
 
 # A header this long hardly ever occurs among cells.
 LONG_HEADER = 3
@@ -55,22 +55,22 @@ class BinaryFraming:
         # Bytes skipped since the last frame; whether the next byte directly follows a frame.
         self._gap, self._in_step = 0, False
 
-    def feed(self, data: bytes, host_s: float) -> list[Sent]:
+    def feed(self, data: bytes, host_s: float) -> list[RawFrame]:
         """Take the next bytes; return the frames that they completed."""
         if not self._header:
             return self._datagram(data, host_s)
         self.buffer += data
-        found: list[Sent] = []
+        found: list[RawFrame] = []
         at = 0
         while (at := self._next_header(at)) + self._size <= len(self.buffer):
             window = self.buffer[at : at + self._size]
             values = self._values_in(window)
-            sent = None if values is None else self._sent(window, values, host_s)
-            is_frame = sent is not None and self._is_confirmed(sent, at)
+            raw = None if values is None else self._raw_frame(window, values, host_s)
+            is_frame = raw is not None and self._is_confirmed(raw, at)
             if is_frame is None:
                 break
-            if sent is not None and is_frame:
-                found.append(sent)
+            if raw is not None and is_frame:
+                found.append(raw)
                 at += self._size
                 self._gap, self._in_step = 0, True
             else:
@@ -100,7 +100,7 @@ class BinaryFraming:
         is_right = checksum(described, window[len(self._header) : -1], total) == window[-1]
         return values if is_right else None
 
-    def _is_confirmed(self, sent: Sent, at: int) -> bool | None:
+    def _is_confirmed(self, raw: RawFrame, at: int) -> bool | None:
         """Whether the well-formed window at `at` is a frame; None until more bytes have arrived."""
         is_summed = self._format.checksum != "none"
         end = at + self._size
@@ -112,25 +112,25 @@ class BinaryFraming:
             if self._values_in(other) is not None:
                 break
             inside = self.buffer.find(self._header, inside + 1, end)
-        if inside < 0 and (is_summed or self._in_step) and sent.highest <= self._format.full_scale:
+        if inside < 0 and (is_summed or self._in_step) and raw.highest <= self._format.full_scale:
             return True
         after = self.buffer[end : end + len(self._header)]
         if not self._header.startswith(after):
             return False
         return True if after == self._header else None
 
-    def _datagram(self, data: bytes, host_s: float) -> list[Sent]:
+    def _datagram(self, data: bytes, host_s: float) -> list[RawFrame]:
         """Take a datagram of bare cells: a frame, or refused."""
         values = self._values_in(data) if len(data) == self._size else None
         if values is None:
             self._counts.damaged += bool(data)
             return []
-        return [self._sent(data, values, host_s)]
+        return [self._raw_frame(data, values, host_s)]
 
-    def _sent(self, window: bytes, values: Values, host_s: float) -> Sent:
+    def _raw_frame(self, window: bytes, values: Values, host_s: float) -> RawFrame:
         stamp = self._time_in(window) if self._format.has_clock else None
         # With the cold caches of a thread that just woke, max() of a list is twice as fast as NumPy's.
-        return Sent(stamp, values, max(values.tolist()), host_s)
+        return RawFrame(stamp, values, max(values.tolist()), host_s)
 
     def _time_in(self, window: bytes) -> int:
         """Return the bytes after the header of a whole window as its clock."""
@@ -160,8 +160,8 @@ def checksum(described: PadFormat, body: bytes, total: int) -> int:
 def decode_cells(described: PadFormat, data: bytes) -> Values:
     """Return the values (cells,) of a binary frame's cells, which `data` begins with."""
     if described.cell != "u12":
-        sent = np.frombuffer(data, PLAIN_CELLS[described.cell, described.order], described.cells)
-        return sent if sent.dtype.isnative else sent.astype(sent.dtype.newbyteorder("="))
+        stored = np.frombuffer(data, PLAIN_CELLS[described.cell, described.order], described.cells)
+        return stored if stored.dtype.isnative else stored.astype(stored.dtype.newbyteorder("="))
     bits = np.unpackbits(np.frombuffer(data, np.uint8), count=12 * described.cells, bitorder=described.order)
     values: NDArray[np.uint16] = (bits.reshape(-1, 12) << U12_BITS[described.order]).sum(
         axis=1, dtype=np.uint16

@@ -20,8 +20,8 @@ Values = NDArray[np.generic]
 """The cells of a frame as sent, in order: unsigned, signed or float."""
 
 
-class Sent(NamedTuple):
-    """A well-formed frame as it was sent.
+class RawFrame(NamedTuple):
+    """A well-formed frame before its clock, range and layout are applied.
 
     stamp: its clock, None without one. values: (cells,). highest: of the values. host_s: when its last byte
     arrived.

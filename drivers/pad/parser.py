@@ -5,7 +5,7 @@ import numpy as np
 from touchd.drivers.frame import Frame, ProtocolCounts
 from touchd.drivers.pad.binary import BinaryFraming
 from touchd.drivers.pad.clock import PadClock
-from touchd.drivers.pad.format import Layout, PadFormat, Sent
+from touchd.drivers.pad.format import Layout, PadFormat, RawFrame
 from touchd.drivers.pad.text import TextFraming
 
 
@@ -27,7 +27,7 @@ class FrameParser:
 
     def feed(self, data: bytes, host_s: float) -> list[Frame]:
         """Take bytes that arrived at `host_s` (monotonic seconds); return the frames they completed."""
-        frames = [frame for sent in self._framing.feed(data, host_s) for frame in self._frames(sent)]
+        frames = [frame for raw in self._framing.feed(data, host_s) for frame in self._frames(raw)]
         self.counts.frames += len(frames)
         return frames
 
@@ -36,12 +36,12 @@ class FrameParser:
         self._framing.reset()
         self._clock.reset()
 
-    def _frames(self, sent: Sent) -> list[Frame]:
+    def _frames(self, raw: RawFrame) -> list[Frame]:
         """Return the frames that a well-formed one confirms, itself included; cut values out of range."""
-        values = sent.values
-        if sent.highest > self.format.full_scale:
+        values = raw.values
+        if raw.highest > self.format.full_scale:
             self.counts.clipped += 1
             values = np.minimum(values, self.format.full_scale)
         if values.dtype.kind != "u":
             values = np.maximum(values, 0)
-        return self._clock.date(sent.stamp, sent.host_s, self._layout.pressure(values))
+        return self._clock.date(raw.stamp, raw.host_s, self._layout.pressure(values))

@@ -143,7 +143,7 @@ class NetworkPort:
         self._socket.close()
 
 
-Line: TypeAlias = serial.Serial | NetworkPort
+Port: TypeAlias = serial.Serial | NetworkPort
 
 
 def check_port(port: str, baud: int) -> None:
@@ -163,7 +163,7 @@ def check_port(port: str, baud: int) -> None:
         raise sensor_error(port, error) from error
 
 
-def open_port(port: str, baud: int) -> Line:
+def open_port(port: str, baud: int) -> Port:
     """Open `port` for this program alone; raise SensorError when that fails."""
     try:
         if "://" in port:
@@ -182,7 +182,7 @@ def open_port(port: str, baud: int) -> Line:
     return opened
 
 
-def read_waiting(opened: Line, parser: FrameParser | None = None) -> bytes:
+def read_waiting(opened: Port, parser: FrameParser | None = None) -> bytes:
     """Return what has arrived, waiting at most 0.1 s for it; raise SensorError when it cannot be read.
 
     parser: of the pad's format; if that is text, a datagram ends its lines.
@@ -196,7 +196,7 @@ def read_waiting(opened: Line, parser: FrameParser | None = None) -> bytes:
         raise _gone(port, error) from error
 
 
-def forget_waiting(opened: Line) -> None:
+def discard_input(opened: Port) -> None:
     """Discard what has arrived; raise SensorError when the port is gone."""
     try:
         opened.reset_input_buffer()
@@ -204,7 +204,7 @@ def forget_waiting(opened: Line) -> None:
         raise _gone(str(opened.port), error) from error
 
 
-def reads_all(opened: Line) -> bool:
+def reads_all(opened: Port) -> bool:
     """Whether one read returns all that has arrived, as on a serial port; over UDP it is a datagram."""
     return not isinstance(opened, NetworkPort) or opened.is_stream
 

@@ -9,7 +9,7 @@ from touchd.drivers.faults import Backoff
 from touchd.drivers.frame import Frame, SensorState
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import (
-    Line,
+    Port,
     SensorError,
     at_baud,
     open_port,
@@ -100,7 +100,7 @@ class Sensor:
                 backoff.reset()
             self._stop.wait(backoff.pause_s())
 
-    def _read(self, opened: Line) -> None:
+    def _read(self, opened: Port) -> None:
         """Read until stopped, or until the port should be opened again."""
         self.parser.reset()
         has_bytes, shared_s = False, -math.inf
@@ -139,7 +139,7 @@ class Sensor:
                     cause, what = "silent", f"no data for {self.silence_s:g} s"
                 self._report_down(cause, f"{self._port}{at_baud(self._port, self._baud)}: {what}")
 
-    def _rest(self, opened: Line, size: int, took_s: float, now_s: float, *, has_frames: bool) -> None:
+    def _rest(self, opened: Port, size: int, took_s: float, now_s: float, *, has_frames: bool) -> None:
         """Sleep after a read of `size` bytes that came within `took_s`: for more frames, or in a flood."""
         if size >= FLOOD_BYTES:
             # Leave the processor to others.

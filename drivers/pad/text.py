@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from touchd.drivers.frame import ProtocolCounts
-from touchd.drivers.pad.format import PadFormat, Sent
+from touchd.drivers.pad.format import PadFormat, RawFrame
 
 # Room for a number with its label, separators and alignment, and for words beside the numbers of a line.
 CHARACTERS_A_NUMBER, CHARACTERS_A_LINE = 24, 256
@@ -95,13 +95,13 @@ class TextFraming:
         self._run_width = 0
         self._run_leads: Sequence[float] = ()
 
-    def feed(self, data: bytes, host_s: float) -> list[Sent]:
+    def feed(self, data: bytes, host_s: float) -> list[RawFrame]:
         """Take the next bytes; return the frames that they completed."""
         # Where a line begins, a CR belongs to the LF before it.
         text = (self.buffer + data).lstrip(b"\r")
         ended = ended_at(text)
         self.buffer = text[ended:]
-        frames: list[Sent] = []
+        frames: list[RawFrame] = []
         for line in lines_in(text[:ended]):
             if self._skipping:
                 self._skipping = False
@@ -114,12 +114,12 @@ class TextFraming:
             self.buffer, self._skipping = b"", True
         return frames
 
-    def _give_up(self) -> list[Sent]:
+    def _give_up(self) -> list[RawFrame]:
         """Refuse a line that cannot be one of the pad's."""
         self._counts.damaged += 1
         return self._end_run()
 
-    def _line(self, line: bytes, host_s: float) -> list[Sent]:
+    def _line(self, line: bytes, host_s: float) -> list[RawFrame]:
         numbers, label = numbers_in(line)
         described = self._format
         count = len(numbers)
@@ -138,7 +138,7 @@ class TextFraming:
             self._add(numbers, leads, host_s)
         return ended
 
-    def _line_before_end(self, line: bytes, numbers: list[float], host_s: float) -> list[Sent]:
+    def _line_before_end(self, line: bytes, numbers: list[float], host_s: float) -> list[RawFrame]:
         """Take a line of a frame that ends with a text; lines without numbers may stand inside it."""
         if numbers:
             self._run_width = self._run_width or len(numbers)
@@ -154,7 +154,7 @@ class TextFraming:
         if len(self._run) <= self._format.cells:
             self._run += numbers[self._format.skip : len(numbers) - self._format.tail]
 
-    def _end_run(self) -> list[Sent]:
+    def _end_run(self) -> list[RawFrame]:
         """Close the run of lines before this place; return the frame in it, if it is exactly one."""
         cells, host_s = self._run, self._run_s
         if not cells:
@@ -167,5 +167,5 @@ class TextFraming:
         self._counts.damaged += is_broken
         return []
 
-    def _frame(self, cells: list[float], skipped: Sequence[float], host_s: float) -> list[Sent]:
-        return [Sent(skipped[0] if skipped else None, np.array(cells), max(cells), host_s)]
+    def _frame(self, cells: list[float], skipped: Sequence[float], host_s: float) -> list[RawFrame]:
+        return [RawFrame(skipped[0] if skipped else None, np.array(cells), max(cells), host_s)]

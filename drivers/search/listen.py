@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from touchd.drivers.pad.port import Line, forget_waiting, read_waiting
+from touchd.drivers.pad.port import Port, discard_input, read_waiting
 from touchd.drivers.search.binary import tables
 from touchd.drivers.search.text import is_text
 
@@ -40,7 +40,7 @@ def seconds_of(chunks: Sequence[Chunk]) -> float:
 
 
 def listen(
-    opened: Line, seconds: float, enough: Callable[[list[Chunk]], bool] = lambda chunks: False
+    opened: Port, seconds: float, enough: Callable[[list[Chunk]], bool] = lambda chunks: False
 ) -> list[Chunk]:
     """Return what arrives within `seconds`; raises SensorError when the port goes away.
 
@@ -54,7 +54,7 @@ def listen(
     return chunks
 
 
-def likeliest_baud(opened: Line, bauds: Sequence[int], say: Callable[[int], None]) -> int | None:
+def likeliest_baud(opened: Port, bauds: Sequence[int], say: Callable[[int], None]) -> int | None:
     """Set the rate at which what arrives looks most like frames, and return it; None if nothing arrives.
 
     say: called with each rate that is tried.
@@ -64,7 +64,7 @@ def likeliest_baud(opened: Line, bauds: Sequence[int], say: Callable[[int], None
         say(baud)
         with suppress(OSError, ValueError):
             opened.baudrate = baud
-            forget_waiting(opened)
+            discard_input(opened)
             chunks = listen(opened, FIRST_BYTE_S, bool)
             # If one rate yields no bytes, none will.
             if not chunks and not likely:
@@ -75,7 +75,7 @@ def likeliest_baud(opened: Line, bauds: Sequence[int], say: Callable[[int], None
     best = max(likely, key=lambda baud: likely[baud], default=None)
     if best is not None:
         opened.baudrate = best
-        forget_waiting(opened)
+        discard_input(opened)
     return best
 
 

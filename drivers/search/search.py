@@ -16,7 +16,7 @@ from msgspec import to_builtins
 from msgspec.structs import replace
 
 from touchd.drivers.frame import MIN_RATE_HZ, Frame
-from touchd.drivers.pace import clock_by_ours
+from touchd.drivers.pace import relative_clock
 from touchd.drivers.pad.binary import CLOCK_BYTES
 from touchd.drivers.pad.format import LONGEST_SIDE, PRESETS, SHORTEST_SIDE, Layout, PadFormat
 from touchd.drivers.pad.parser import FrameParser
@@ -212,7 +212,7 @@ def _is_dated(described: PadFormat, chunks: Sequence[Chunk]) -> bool:
     if not parser.dates_frames or len(frames) < text.LEAST_FRAMES or counts.restarts:
         return False
     is_steady = counts.bad_time <= (1 - EXPLAINED) * len(frames) and counts.duplicates <= len(frames)
-    return is_steady and abs(clock_by_ours(frames) - 1) <= CLOSE
+    return is_steady and abs(relative_clock(frames) - 1) <= CLOSE
 
 
 def _unexplained(placed: Placement, described: PadFormat, chunks: Sequence[Chunk]) -> str:

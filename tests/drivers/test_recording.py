@@ -25,7 +25,7 @@ from touchd.drivers.recording import (
     splice,
     write_recordings,
 )
-from touchd.drivers.whole_file import whole_file, without_waiting
+from touchd.drivers.whole_file import open_nonblocking, whole_file
 
 CELL_NAMES = [f"cell{i}" for i in range(1, 65)]
 CONDITION = ["Substrate", "Cover", "Gesture"]
@@ -256,7 +256,7 @@ def test_a_new_file_is_written_without_hard_links(
 def test_a_pipe_is_read_until_its_writer_closes_it(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     writer = os.fdopen(os.open(tmp_path / "pipe", os.O_RDWR), "wb")
-    with open(tmp_path / "pipe", "rb", opener=without_waiting) as pipe:
+    with open(tmp_path / "pipe", "rb", opener=open_nonblocking) as pipe:
         late = threading.Timer(0.05, lambda: (writer.write(b"late"), writer.close()))
         late.start()
         assert pipe.read() == b"late"
