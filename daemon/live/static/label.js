@@ -1,4 +1,4 @@
-// Buttons that say what a touch was, for viewers on touchd's computer: the last one, or one chosen in the list.
+// Buttons to label a touch, the last one or one chosen in the list, for viewers on touchd's computer.
 
 import { make, nameOf } from "./words.js";
 
@@ -43,7 +43,7 @@ export function useLabels(scene, send) {
   fieldset.append(...buttons.values());
 }
 
-/** Mark what the chosen touch was, or else the last one, if anybody has said so. */
+/** Mark the label of the chosen touch, or else of the last one, if it has one. */
 export function showLabels(shown) {
   store = shown;
   if (!store.touches.some(({ began }) => began.pad === chosen?.pad && isChosen(began))) chosen = null;

@@ -1,4 +1,4 @@
-// The time line of a touch: its pressure, the marks at which answers fall due, and the answers when they were said.
+// The time line of a touch: its pressure, the marks at which answers fall due, and the answers at their times.
 
 import { colourOf, SharpCanvas } from "./canvas.js";
 import { make, nameOf, percent, replacedBy, saidAt, seconds, wordsOf } from "./words.js";
@@ -7,7 +7,7 @@ const SHORTEST_S = 4;
 const AFTER_FINAL = 1.5;
 // The total of counts that fills half of the height, unless a touch is firmer.
 const LIGHT_LOAD = 300;
-// An answer that was said later than this after what it is about shows both times.
+// An answer this long after its last frame shows both times.
 const LATE_S = 0.1;
 const ROWS = 4;
 
@@ -49,7 +49,7 @@ function showFlags(store) {
   const key = [pad, time, touch, all.length, endOf(store.scene), width].join();
   if (key === drawnFlags) return;
   drawnFlags = key;
-  // Those that fall on the line, and the last of those that came later.
+  // The answers on the line, and the last of those after its end.
   const isShown = (one, place) => saidAt(one) < endOf(store.scene) || place === all.length - 1;
   const made = all.map((prediction, place) => flag(prediction, replacedBy(all, place), store.scene));
   flags.replaceChildren(...made.filter((_, place) => isShown(all[place], place)));

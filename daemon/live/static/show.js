@@ -173,7 +173,7 @@ export function showVitals(store, link, isStale) {
 }
 
 function padState(sensor, isStale) {
-  // Nobody tells the state of a simulated pad whose touches another program answers.
+  // A simulated pad whose touches another program answers has no sensor events.
   if (!sensor) return isStale ? ["–", "none"] : ["up", "good"];
   return [sensor.state, sensor.state === "up" ? "good" : "bad"];
 }

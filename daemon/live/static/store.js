@@ -22,13 +22,13 @@ export class Store {
   sensor = null;
   robot = null;
   status = null;
-  /** What the robot said or did last about the last touch. */
+  /** The robot's last words or action about the last touch. */
   action = null;
   touches = [];
   live = null;
   /** Numbers of the touches about which the robot was told while it was up. */
   reported = new Set();
-  /** What people on touchd's computer said that touches were, by their numbers. */
+  /** The labels of touches, by their numbers. */
   said = new Map();
   /** Where the hand was in the last second: the sensor's clock, row and column, null where nothing pressed. */
   trail = [];

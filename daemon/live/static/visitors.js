@@ -20,7 +20,7 @@ export function followVisitors(onChange) {
   function toggle() {
     const isShown = !body.hasAttribute("data-visitors");
     show(isShown);
-    // A page may be refused full screen; the view works without it.
+    // The browser may refuse full screen; the view works without it.
     if (isShown) document.documentElement.requestFullscreen?.().catch(() => {});
     else if (document.fullscreenElement) document.exitFullscreen();
   }

@@ -29,7 +29,7 @@ export function replacedBy(predictions, place) {
   return changed ? predictions.slice(0, place).reverse().find((one) => one.told && one.gesture !== gesture) : undefined;
 }
 
-/** When an answer was said, in seconds since the touch began: after the frames that it is about, by their age. */
+/** When an answer came, in seconds since the touch began: the time of its last frame, and that frame's age. */
 export function saidAt({ elapsed_s, age_ms }) {
   return elapsed_s + age_ms / 1000;
 }

@@ -28,12 +28,12 @@ const uint8_t COLUMN_PINS[] = {A0, A1, A2, A3, A4, A5, A6, A7, A8, A9};
 // fabric and wire, which leaves a twentieth of a count.
 const uint16_t SETTLE_US = 50;
 
-// The rate the model was trained at; touchd takes 20 to 500, best 50 to 100.
+// The rate at which the model was trained; touchd takes 8 to 500, best 50 to 100.
 const uint8_t FRAME_RATE_HZ = 54;
 
 // --- The timer -----------------------------------------------------------------------------------------
 
-// A scan that is late does not make the next ones late: the timer runs on, and the frame says when it began.
+// A late scan does not delay the next ones: the timer keeps running, and each frame carries its start time.
 volatile bool scanIsDue = false;
 
 #if defined(TEENSYDUINO)
@@ -46,7 +46,7 @@ void startTimer() { frameTimer.begin(markDue, 1e6f / FRAME_RATE_HZ); }
 
 #elif defined(__AVR_ATmega2560__)
 
-// Timer 1 counts eighths of the clock and starts anew on reaching OCR1A: 54.0001 Hz of a true crystal.
+// Timer 1 counts eighths of the clock and restarts at OCR1A: 54.0001 Hz of a true crystal.
 const uint32_t TIMER_HZ = F_CPU / 8;
 const uint32_t TICKS = (TIMER_HZ + FRAME_RATE_HZ / 2) / FRAME_RATE_HZ;
 static_assert(TICKS <= 65536, "timer 1 cannot count that far: FRAME_RATE_HZ must be 31 or more");
@@ -89,8 +89,8 @@ void setUpRows() {
   }
 }
 
-// The row that is read is low; all others are held high, never left open. Through an open row a press finds
-// its way around a corner: three corners of a rectangle pressed would show its fourth.
+// The row that is read is low; all others are driven high, never left open. Current through an open row would
+// leak around a corner: three pressed corners of a rectangle would make the fourth look pressed.
 void scan() {
   frame.begin(millis());
   for (uint8_t row = 0; row < ROWS; row++) {

@@ -1,4 +1,4 @@
-// A frame of `fabric-grid`, byte by byte as it goes over the line; plain C++, for any board and any computer.
+// A frame of `fabric-grid`, byte by byte as it is sent; plain C++, for any board and any computer.
 //
 // Little-endian: FF FF FF FF, uint32 milliseconds since boot, rows x columns uint16 raw values (1023 is no
 // pressure) row by row, one checksum byte: the low byte of the sum of all values and the time.
@@ -21,14 +21,14 @@ struct Frame {
     for (uint8_t shift = 0; shift < 32; shift += 8) put(ms >> shift);
   }
 
-  // Adds the next raw value, 0 to 1023; to be called rows x columns times.
+  // Adds the next raw value, 0 to 1023; call it rows x columns times.
   void add(uint16_t value) {
     sum += value;
     put(value);
     put(value >> 8);
   }
 
-  // Makes the frame whole.
+  // Completes the frame.
   void end() { put(sum); }
 
  private:
