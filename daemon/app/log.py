@@ -8,9 +8,10 @@ from collections.abc import Callable
 from touchd.daemon.sinks.sink import LinesSink
 from touchd.drivers.errors import goes_to_systemd, one_line
 
-# How many lines one place in the code may log per WHILE_S: enough for sixteen pads, too few to fill a disk.
+# How many lines one place in the code may log in this interval: enough for sixteen pads, too few to fill
+# a disk.
 MOST_LINES = 60
-WHILE_S = 60.0
+INTERVAL_S = 60.0
 MOST_TRACE_LINES = 100
 LINE = logging.Formatter("%(levelname)s %(name)s: %(message)s")
 # The numbers of syslog(3), by which `journalctl -p warning` selects.
@@ -34,13 +35,13 @@ class LogGate(logging.Filter):
             # Threads that count at the same time may miss a line, which does no harm.
             if time.monotonic() >= self._until_s:
                 self._lines.clear()
-                self._until_s = time.monotonic() + WHILE_S
+                self._until_s = time.monotonic() + INTERVAL_S
             place = (record.pathname, record.lineno)
             self._lines[place] += 1
             if self._lines[place] > MOST_LINES:
                 return False
             if self._lines[place] == MOST_LINES:
-                more = f" (more like it are left out for {WHILE_S:.0f} s)"
+                more = f" (more like it are left out for {INTERVAL_S:.0f} s)"
             if self._lines[place] > 1:
                 record.exc_info = record.exc_text = None
         record.msg, record.args = one_line(record.getMessage()) + more, None

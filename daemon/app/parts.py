@@ -12,7 +12,7 @@ import numpy as np
 from touchd.daemon.app.config import ConfigError, SceneSettings, Settings, config_errors
 from touchd.daemon.bridges.bridge import Bridge, BridgeError
 from touchd.daemon.bridges.settings import LslSettings, MqttSettings, Ros2Settings
-from touchd.daemon.path.decide import told_in
+from touchd.daemon.path.decide import answerable
 from touchd.daemon.path.events import UNCERTAIN, Event
 from touchd.daemon.path.monitor import PadMonitor
 from touchd.daemon.path.pipeline import Pipeline, Viewers
@@ -134,7 +134,7 @@ def make_bridges(settings: Settings, models: Mapping[str, Classifier]) -> tuple[
             from touchd.daemon.bridges.mqtt import MqttBridge
 
             for pad, own in settings.pads.items():
-                labels = told_in(own.scene.gestures, models[pad].labels)
+                labels = answerable(own.scene.gestures, models[pad].labels)
                 bridges.append(MqttBridge(section, settings.name, pad, labels))
         else:
             from touchd.daemon.bridges.rosbridge import RosbridgeBridge

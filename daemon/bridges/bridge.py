@@ -46,7 +46,7 @@ def kind_of(event: Event) -> str:
 class Bridge(QueuedSink[Any]):
     """Sends the events of one or several pads to another system, and their frames if configured.
 
-    One thread works off the queue, another keeps the connection open. While the peer is away, events wait for
+    One thread empties the queue, another keeps the connection open. While the peer is away, events wait for
     STALE_S and frames are dropped. Other pads' events are ignored.
     frames_hz: at most this many frames a second for each pad; math.inf: all frames; None: none.
     where: the peer's address, for the log.

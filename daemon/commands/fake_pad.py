@@ -53,7 +53,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def main(options: argparse.Namespace) -> int:
-    """Be a pad until Ctrl-C or SIGTERM; returns 0."""
+    """Serve a simulated pad until Ctrl-C or SIGTERM; returns 0."""
     found = settings_of(options)
     pad = SimulatedPad(RandomState(), GESTURES, EVERY_S)
     with ExitStack() as closing:

@@ -1,4 +1,4 @@
-"""`touchd fake-robot`: the program is among the drivers' fakes."""
+"""`touchd fake-robot`: see `touchd.drivers.fakes.fake_robot`."""
 
 from touchd.drivers.fakes.fake_robot import DESCRIPTION as DESCRIPTION
 from touchd.drivers.fakes.fake_robot import add_options as add_options

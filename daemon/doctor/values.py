@@ -98,7 +98,7 @@ def _hum(counts: NDArray[np.float64], rate_hz: float) -> str:
     mean = counts.mean(axis=(1, 2))
     window = np.hanning(len(mean))
     amplitudes = np.abs(np.fft.rfft((mean - mean.mean()) * window)) * 2 / window.sum()
-    # Drift and breathing lie below the fourth line.
+    # Drift and breathing lie below the fourth spectral line.
     amplitudes[:4] = 0
     at = int(amplitudes.argmax())
     if amplitudes[at] < LEAST_SINE_COUNTS or amplitudes[at] ** 2 / 2 < EXPLAINED * mean.var():

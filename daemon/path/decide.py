@@ -34,7 +34,7 @@ REVISE_MARGIN = 0.1
 ENDED_NOTOUCH = 0.15
 
 
-def told_in(gestures: Sequence[str], labels: Sequence[str]) -> tuple[str, ...]:
+def answerable(gestures: Sequence[str], labels: Sequence[str]) -> tuple[str, ...]:
     """Return the labels that a scene's answers may name, in the labels' order; no gestures mean all."""
     named = {*(gestures or labels), OTHER} - {NO_TOUCH}
     return tuple(label for label in labels if label in named)
@@ -93,7 +93,7 @@ class Decision:
         self._settings = settings
         self._revise_margin = revise_margin
         self._labels = labels
-        occurs = {*told_in(settings.gestures, labels), NO_TOUCH}
+        occurs = {*answerable(settings.gestures, labels), NO_TOUCH}
         self._occurs = [label in occurs for label in labels]
         self._ended = np.where([label == NO_TOUCH for label in labels], ENDED_NOTOUCH, 1.0)
         self.may_be_early = settings.early == "when_sure"
@@ -140,7 +140,7 @@ class Decision:
         )
 
     def _is_doubt(self, stage: Stage, best: str, scene: dict[str, float]) -> bool:
-        """Whether an answer that is not told is doubt: of a touch that has ended, or at the last mark."""
+        """Whether an answer that is not told becomes "uncertain", at the last mark or the end of a touch."""
         if stage == "final" and self.told is None:
             return best != NO_TOUCH and scene[best] < self._limit(stage)
         return stage == "uncertain" or (stage == "released" and self.told is None)

@@ -101,7 +101,7 @@ class PadMonitor:
         self._begin()
 
     def _begin(self) -> None:
-        """Begin with another stream of frames."""
+        """Reset for another stream of frames."""
         self._block: list[Frame] = []
         self._is_untouched = True
         self._without_gap = 0
@@ -132,7 +132,7 @@ class PadMonitor:
         self._is_noisy = float(np.maximum(noise, USUAL_NOISE_COUNTS).mean()) > MOST_NOISE_COUNTS
 
     def on_frame(self, frame: Frame, *, restarted: bool, is_untouched: bool = True) -> SensorState | None:
-        """Take the next frame. restarted: whether the grid restarted with it. is_untouched: by any hand."""
+        """Take the next frame. restarted: whether the grid restarted. is_untouched: whether no hand is on."""
         self._block.append(frame)
         self._without_gap = 0 if restarted else self._without_gap + 1
         self._is_untouched &= is_untouched
@@ -169,7 +169,7 @@ class PadMonitor:
         return {"restarts": FAULTS["restarts"].words.format(OFTEN_RESTARTS)} if is_often else {}
 
     def _follow(self, found: Mapping[str, str], now_s: float) -> SensorState | None:
-        """Log what has begun and ended; return the state if it is another one now."""
+        """Log the faults that have begun and ended; return the pad's state if it has changed."""
         changing = found.keys() ^ self._lasting.keys()
         self._contradicted = {kind: self._contradicted.get(kind, 0) + 1 for kind in changing}
         for kind in FAULTS:
@@ -202,7 +202,7 @@ class TaxelFaults:
         self._first_changed = np.zeros((ROWS, COLUMNS))
 
     def update(self, block: Sequence[Frame]) -> None:
-        """Take frames of an untouched pad, the first of which was the last of those before."""
+        """Take frames of an untouched pad; the first one repeats the last one of the call before."""
         # A step of more than a second counts as one.
         passed_s = float(np.minimum(steps_ms(block), 1000).sum()) / 1000
         pressure = np.stack([frame.pressure for frame in block])

@@ -140,11 +140,11 @@ class Pipeline:
         self._clock = clock or Clock()
         self._decision_settings = settings.decision
         self._final_frames = settings.decision.answer_at_frames[-1]
-        # When a touch ends, its last frame is already older by the quiet that ended it.
+        # When a touch ends, its last frame is already quiet_s old.
         self._stale_s = settings.decision.stale_s + settings.touch.quiet_s
         self._model = model
         self._tracker = tracker_of(settings, model, detector or Detector.load())
-        # The longest window, and twice what settles before a touch ends.
+        # The longest window, plus twice the time after which a settled load ends a touch.
         self._ring = Ring(self._final_frames + 2 * SETTLED_FRAMES)
         self._numbers = itertools.count(1)
         self._size_mm = settings.size_mm
@@ -170,7 +170,7 @@ class Pipeline:
         self._report(state)
 
     def on_sensor_state(self, state: SensorState) -> None:
-        """Note that the sensor came or went; when it goes, the touch ends and rest is measured again."""
+        """Take the sensor's state; when it is down, the touch ends and rest is measured again."""
         if state.state == "down":
             self._stop("sensor")
             self._staleness.forget()

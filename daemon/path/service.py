@@ -16,7 +16,7 @@ from touchd.drivers.faults import FaultLog
 from touchd.drivers.frame import Frame, SensorState
 from touchd.drivers.queue import Signal
 
-# How often the loop looks at the stop flag when nothing arrives.
+# How often the loop checks the stop flag while nothing arrives.
 IDLE_S = 0.25
 SENSORS_STOP_S = 0.6
 DRAIN_S = 2.0
@@ -115,14 +115,14 @@ class Service:
         return item is not None
 
     def _show(self, pad: PadChannel, frame: Frame) -> None:
-        """Hand a processed frame to everything that shows or checks frames."""
+        """Pass a processed frame to the page, the terminal view and the bridges."""
         for each in self.watchers:
             each.put_frame(frame, self._dropped(), pad.name)
         for bridge in self.parts.bridges:
             bridge.put_frame(frame, pad.name)
 
     def _stop_sinks(self) -> None:
-        """Stop the last sink first, where the robot is, for its own events; then the others in parallel."""
+        """Stop the last sink first, the robot, which emits events of its own; then the others in parallel."""
         sinks = self.events.sinks
         for robot in sinks[-1:]:
             robot.stop(SINKS_STOP_S / 2)

@@ -4,17 +4,16 @@ import math
 
 from touchd.drivers.pad.grid import GridFrame
 
-# A frame whose lag grows by more than this was held up on its way; a smaller growth is drift of the pad's
-# clock.
+# If a frame's lag grows by more than this, it was held up on its way; smaller growth is clock drift.
 HELD_UP_S = 0.1
-# A lasting lag is forgiven at 2 % of the time that passes, so within fifty times its length.
+# The offset follows a lasting lag by 2 % of the elapsed time, so it reaches it in fifty times the lag.
 FORGIVEN_SHARE = 0.02
 
 
 class Staleness:
     """Tracks the offset between the pad's clock and the host's; a frame's age is its lag beyond it.
 
-    A clock that drifts without a jump, as of a pad that is played slowly or runs slightly off, is followed.
+    It follows a clock that drifts without jumps, as of a pad that is played slowly or runs slightly off.
     """
 
     def __init__(self) -> None:
@@ -24,7 +23,7 @@ class Staleness:
     def update(self, frame: GridFrame) -> None:
         lag_s, last = _lag_s(frame), self._last
         self._last = frame
-        # If the pad's clock restarted, the offset is another; frames that are held up still arrive in order.
+        # A clock that runs back has restarted, with a new offset: even frames that are held up come in order.
         if last is None or frame.sensor_ms < last.sensor_ms:
             self._offset_s = lag_s
             return
@@ -35,7 +34,7 @@ class Staleness:
         self._offset_s = min(lag_s, self._offset_s + FORGIVEN_SHARE * passed_s)
 
     def forget(self) -> None:
-        """Forget the offset: the next frames are another pad's, or the pad's clock restarted."""
+        """Forget the offset: the next frames are of another pad, or the pad's clock restarted."""
         self._last, self._offset_s = None, math.inf
 
     def age_s(self, frame: GridFrame, now_s: float) -> float:

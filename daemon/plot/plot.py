@@ -145,7 +145,7 @@ def _rise(stream: Stream, restarts: NDArray[np.int64]) -> NDArray[np.float64]:
     rise = stream.counts.astype(np.float64)
     is_sent = np.ones(len(rise), dtype=np.bool_)
     for span in stream.spans:
-        # Added quiet in which no reading changes was made from each taxel's lowest reading.
+        # Added quiet without any change was made from each taxel's lowest count.
         counts = stream.counts[span.start : span.stop]
         is_sent[span.start : span.stop] = not span.is_added or np.ptp(counts, axis=0).any()
     for part, sent in zip(np.split(rise, restarts), np.split(is_sent, restarts), strict=True):

@@ -69,9 +69,9 @@ class ActionRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     """When the robot carries out which actions, in order.
 
     gestures: empty means any gesture, but "other" and "uncertain" must be named.
-    stages: of the answer, whether it is told at this stage or was told before. Empty means any stage at which
-    the answer is new: the first of its touch, or another than the last. Either way, a rule fires once per
-    answer and touch: with [final, released], once on the settled answer.
+    stages: of an answer that is told, or was told before. Empty means any stage at which the answer is new:
+    the first of its touch, or another than the last. Either way, a rule fires once per answer and touch: with
+    [final, released], once on the settled answer.
     changed: only for an answer that replaces another one of the same touch. Such an answer triggers the rules
     with changed: true if any fits, and otherwise those without.
     above, below: only for a touch whose measures are at least these, or less than these.

@@ -42,7 +42,7 @@ class _Service:
         self._note_call, self._call_s = note, call_s
 
     def _note(self, method: str, *arguments: object, refused: str = "") -> None:
-        """Record a call, and take the time that it takes; one that is refused raises RuntimeError."""
+        """Record a call and wait for as long as it takes; raises RuntimeError if it is refused."""
         name, now_s = type(self).__name__, time.time()
         call = Call(service=name, method=method, arguments=arguments, time_s=now_s, refused=refused)
         self._note_call(call)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from touchd.daemon.path.decide import ENDED_NOTOUCH, Decision, DecisionSettings, told_in
+from touchd.daemon.path.decide import ENDED_NOTOUCH, Decision, DecisionSettings, answerable
 from touchd.daemon.path.events import Stage
 
 LABELS = ("constant", "notouch", "pat", "rub", "scratch", "stroke", "tickle")
@@ -211,7 +211,7 @@ def test_a_scenes_gestures_and_other_share_the_probability(
 def test_a_scenes_answers_name_its_gestures_and_other(
     gestures: tuple[str, ...], labels: tuple[str, ...], named: tuple[str, ...]
 ) -> None:
-    assert told_in(gestures, labels) == named
+    assert answerable(gestures, labels) == named
 
 
 @pytest.mark.parametrize("stages", [(54, 54, 144), (54, 144, 81), (54, 144, 144), (81, 54, 144)])
