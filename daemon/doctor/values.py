@@ -32,8 +32,8 @@ CORNER_LINES = {0, 1, 6, 7}
 MOST_NOISE_COUNTS = 4.0
 # The whole pad vibrates if a sine of this amplitude explains this share of the variance of its mean.
 LEAST_SINE_COUNTS, EXPLAINED = 0.5, 0.5
-# A row or column is loose if its mean steps up and down by this much within so many frames, and by ALONE
-# times as much as the median row or column.
+# A row or column is loose if its median steps up and down by LEAST_STEP_COUNTS within STEP_FRAMES, and by
+# ALONE times as much as most rows and columns.
 STEP_FRAMES, LEAST_STEP_COUNTS, ALONE = 12, 2.0, 4.0
 # A taxel at its limit; a quarter of the pad there has too heavy a load, or a short.
 SATURATED_COUNT = 1000
