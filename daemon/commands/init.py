@@ -193,7 +193,7 @@ def _describe(console: Console, opened: Port, where: str, tried: str, grid: Grid
         else:
             finding = find_without_asking(console.print, opened, (grid,))
         if finding.proposed is None:
-            console.print(f"{where}: {finding.saw}; {finding.missing}{tried}", style="yellow")
+            console.print(f"{where}: {finding.arrived}; {finding.missing}{tried}", style="yellow")
             return None
         if not can_ask():
             return finding.proposed

@@ -133,11 +133,11 @@ def find_without_asking(say: Callable[[str], None], opened: Port, grids: Sequenc
     say(f"press the pad: listening for {LISTEN_S:g} s ...")
     chunks = listen(opened, LISTEN_S)
     found = [search(chunks, grid) for grid in grids]
-    if all(finding.proposed is None for finding in found) and any(finding.may_come for finding in found):
+    if all(finding.proposed is None for finding in found) and any(finding.may_be_proven for finding in found):
         say(f"not proven yet, go on pressing: listening for {LONGER_S:g} s more ...")
         chunks += listen(opened, LONGER_S)
         found = [search(chunks, grid) for grid in grids]
-    return max(found, key=lambda finding: (finding.proposed is not None, finding.may_come))
+    return max(found, key=lambda finding: (finding.proposed is not None, finding.may_be_proven))
 
 
 def _is_again(finding: Finding, before: Finding) -> bool:
@@ -148,7 +148,7 @@ def _is_again(finding: Finding, before: Finding) -> bool:
     """
     found, earlier = finding.proposed, before.proposed
     if found is None or earlier is None:
-        return found is earlier and not (finding.may_come or before.may_come)
+        return found is earlier and not (finding.may_be_proven or before.may_be_proven)
     return replace(found, full_scale=earlier.full_scale) == earlier
 
 

@@ -60,7 +60,7 @@ def check_protocol(
     if has_bauds and (baud := _other_baud(sensor, opened)):
         return Check("protocol", "to do", f"{described}, but at {baud} baud", f"set sensor.baud: {baud}")
     finding = find()
-    found = f"no frame of {described} in {finding.saw}"
+    found = f"no frame of {described} in {finding.arrived}"
     if finding.proposed is not None:
         return Check("protocol", "to do", found, f"set under sensor: {as_yaml(finding.proposed)}")
     tried = f"; baud rates tried: {', '.join(map(str, sorted(USUAL_BAUDS)))}" if has_bauds else ""

@@ -62,14 +62,14 @@ class Survey(NamedTuple):
 class Finding:
     """What a search found.
 
-    proposed: the description, if it is proven. missing: why nothing is proposed, "" if something is. saw:
-    what arrived, in words. may_come: whether more presses may prove a description.
+    proposed: the description, if it is proven. missing: why nothing is proposed, "" if something is. arrived:
+    what arrived, in words. may_be_proven: whether more presses may prove a description.
     """
 
     proposed: PadFormat | None
     missing: str
-    saw: str
-    may_come: bool = False
+    arrived: str
+    may_be_proven: bool = False
 
 
 def survey(chunks: Sequence[Chunk]) -> Survey | None:
@@ -113,24 +113,24 @@ def search(chunks: Sequence[Chunk], grid: Grid | None) -> Finding:
     data = b"".join(chunk.data for chunk in chunks)
     if not data:
         return Finding(None, "is it the pad's port, and does the pad run?", "nothing arrives")
-    saw = f"{len(data) / seconds_of(chunks):.0f} bytes/s of {text.looks_like(data)}"
+    arrived = f"{len(data) / seconds_of(chunks):.0f} bytes/s of {text.looks_like(data)}"
     # A survey tries every preset, which takes longer than the rest of a search.
     seen = None if grid else survey(chunks)
     grid = grid or (seen.grid if seen else None)
     best = max(placements(chunks, grid), key=partial(_fit, chunks), default=None) if grid else None
     if best is None:
-        return Finding(None, _why_none_fits(seen or survey(chunks), grid), saw)
-    return _judged(Placement(settled(best), best.values), chunks, saw)
+        return Finding(None, _why_none_fits(seen or survey(chunks), grid), arrived)
+    return _judged(Placement(settled(best), best.values), chunks, arrived)
 
 
-def _judged(best: Placement, chunks: Sequence[Chunk], saw: str) -> Finding:
+def _judged(best: Placement, chunks: Sequence[Chunk], arrived: str) -> Finding:
     """Propose a placement if a hand proves it and touchd's own parser reads what arrived."""
-    may_come = bool(missing := objection(best))
-    described = best.described if may_come else _completed(best.described, chunks)
+    may_be_proven = bool(missing := objection(best))
+    described = best.described if may_be_proven else _completed(best.described, chunks)
     missing = missing or _unexplained(best, described, chunks)
     if missing:
-        return Finding(None, f"perhaps {as_yaml(described)}; {missing}", saw, may_come)
-    return Finding(described, "", saw)
+        return Finding(None, f"perhaps {as_yaml(described)}; {missing}", arrived, may_be_proven)
+    return Finding(described, "", arrived)
 
 
 def as_yaml(described: PadFormat) -> str:
