@@ -142,7 +142,7 @@ def write_recordings(path: Path, recordings: Sequence[Recording], provenance: Ma
         raise RecordingError(f"{path}: cannot be written ({error.strerror})") from error
 
 
-def prepare(folder: Path) -> None:
+def prepare_folder(folder: Path) -> None:
     """Make a folder for recordings, and check that files can be made in it; raises RecordingError."""
     with os_errors_as(RecordingError, f"{folder}: recordings cannot be kept there", "name another folder"):
         folder.mkdir(parents=True, exist_ok=True)
@@ -183,7 +183,7 @@ def on_grid(recording: Recording) -> Recording:
     return replace(recording, counts=counts, sensor_ms=ideal_clock_ms(len(counts)))
 
 
-def set_up(recording: Recording) -> tuple[str, str, str]:
+def setup_of(recording: Recording) -> tuple[str, str, str]:
     """Return who touched what: participant, substrate, cover."""
     return recording.participant, recording.substrate, recording.cover
 
@@ -200,7 +200,7 @@ def splice(recordings: Sequence[Recording]) -> Stream:
     clocks: list[NDArray[np.int64]] = []
     start, next_ms = 0, 0
     for before, recording in zip([recordings[0], *recordings], recordings, strict=False):
-        if set_up(recording) != set_up(before):
+        if setup_of(recording) != setup_of(before):
             next_ms = 0
         spans.append(Span(start, start + len(recording.counts), recording.gesture))
         clocks.append(recording.sensor_ms - recording.sensor_ms[0] + next_ms)
@@ -219,7 +219,7 @@ class _Header(NamedTuple):
 
 
 def _keys(recording: Recording) -> Keys:
-    return (*set_up(recording), recording.gesture)
+    return (*setup_of(recording), recording.gesture)
 
 
 @contextmanager

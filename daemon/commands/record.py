@@ -12,7 +12,7 @@ from touchd.daemon.record.dialogue import GESTURES, HOW, Dialogue
 from touchd.daemon.record.session import Session, Setting, ask_name, name
 from touchd.daemon.view.terminal import Stopped, text_width
 from touchd.drivers.errors import within
-from touchd.drivers.recording import prepare
+from touchd.drivers.recording import prepare_folder
 from touchd.model.adapt.folder import trouble_with
 
 INCOMPLETE = 1
@@ -51,7 +51,7 @@ def main(options: argparse.Namespace) -> int:
     settings = settings_of(options).settings
     try:
         with PadReader(settings, load_model(settings)) as pad:
-            prepare(options.folder)
+            prepare_folder(options.folder)
             setting = Setting(
                 options.participant or ask_name(console, "Who touches the pad?"),
                 options.substrate or ask_name(console, "What is under the pad?", "none"),

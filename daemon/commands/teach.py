@@ -17,7 +17,7 @@ from touchd.daemon.record.session import Session, Setting, ask_name, name
 from touchd.daemon.robot.words import name_of, words_of
 from touchd.daemon.view.terminal import Stopped, text_width
 from touchd.drivers.errors import within
-from touchd.drivers.recording import prepare
+from touchd.drivers.recording import prepare_folder
 
 ROUNDS = 2
 # With a trimmed second at each end and the countdown, fourteen recordings take 2.5 minutes; four touches made
@@ -54,7 +54,7 @@ def main(options: argparse.Namespace) -> int:
         from touchd.model.adapt.report import is_better, report_lines
 
     console = Console(width=text_width(), highlight=False, markup=False)
-    prepare(options.folder)
+    prepare_folder(options.folder)
     name_of_folder = options.folder.resolve().name
     numbered = (options.folder / f"{name_of_folder}-{number}.onnx" for number in range(1, 1000))
     output = next(path for path in numbered if not path.exists())

@@ -22,7 +22,7 @@ from touchd.drivers.recording import (
     read_recordings,
     realign,
     recordings_in,
-    set_up,
+    setup_of,
     splice,
 )
 
@@ -117,7 +117,7 @@ def with_quiet(recordings: Sequence[Recording], quiet: Sequence[Recording]) -> S
     participant, else any. Without any, the lowest count of each taxel is used.
     """
     parts: list[tuple[Recording, bool]] = []
-    for _, together in groupby(recordings, key=set_up):
+    for _, together in groupby(recordings, key=setup_of):
         is_quiet = False
         for recording in together:
             if recording.gesture != NO_TOUCH and not is_quiet:
@@ -137,7 +137,8 @@ def _quiet_for(recording: Recording, quiet: Sequence[Recording]) -> Recording:
         rest = np.repeat(recording.counts.min(axis=0, keepdims=True), QUIET_FRAMES, axis=0)
         return replace(recording, gesture=NO_TOUCH, counts=rest, sensor_ms=ideal_clock_ms(QUIET_FRAMES))
     best = max(
-        quiet, key=lambda one: (one.participant == recording.participant, set_up(one) == set_up(recording))
+        quiet,
+        key=lambda one: (one.participant == recording.participant, setup_of(one) == setup_of(recording)),
     )
     # Keep participant and condition: otherwise the clock would restart, and rest be measured under a hand.
     quiet_ms = 1000 * QUIET_FRAMES / FRAME_RATE_HZ

@@ -11,7 +11,7 @@ from mcap.writer import Writer
 from touchd.daemon.bridges.bridge import kind_of
 from touchd.daemon.path.events import Event, RobotEvent, encode, epoch_s
 from touchd.drivers.frame import COLUMNS, ROWS, Counts
-from touchd.drivers.recording import Recording, realign, set_up
+from touchd.drivers.recording import Recording, realign, setup_of
 
 NS_PER_MS = 1_000_000
 # Gap between two recordings.
@@ -61,7 +61,7 @@ def write_recordings(recordings: Sequence[Recording], file: IO[bytes]) -> None:
             steps = np.diff(recording.sensor_ms, prepend=recording.sensor_ms[0])
             # The clock jumps back when the pad restarts; time in the file must not.
             clock_ms = (np.cumsum(np.maximum(steps, 0)) + start_ms).tolist()
-            label = dict(zip(LABEL["properties"], (*set_up(recording), recording.gesture), strict=True))
+            label = dict(zip(LABEL["properties"], (*setup_of(recording), recording.gesture), strict=True))
             data = msgspec.json.encode(label)
             add("/touchd/recording", "touchd.Recording", LABEL, start_ms * NS_PER_MS, data)
             for ms, counts in zip(clock_ms, recording.counts, strict=True):

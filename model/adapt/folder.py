@@ -23,9 +23,9 @@ from touchd.drivers.recording import (
     read_recordings,
     realign,
     recordings_in,
-    set_up,
+    setup_of,
 )
-from touchd.model.adapt.passing import LEAST_AFTER_FRAMES, InPassing, joined, whole
+from touchd.model.adapt.passing import LEAST_AFTER_FRAMES, InPassing, concatenated, joined
 from touchd.model.classifier import LONGEST_LABEL, MOST_LABELS, subtract_high_rest
 
 # The first answer needs 54 frames.
@@ -95,16 +95,16 @@ def read_all(
 def _labelled(parts: list[Recording], label: str) -> list[Recording]:
     """Label a saved touch; a false touch and the rest around it are one recording."""
     named = [replace(part, gesture=label) if part.gesture == UNLABELLED else part for part in parts]
-    return [whole(named)] if label == NO_TOUCH else named
+    return [concatenated(named)] if label == NO_TOUCH else named
 
 
 def _subtract_high_rests(recordings: Sequence[Recording]) -> list[Recording]:
     """Apply `subtract_high_rest`, with the rest of the recording's own set-up, or else of any other."""
-    resting = {set_up(each): each.counts for each in reversed(recordings) if each.gesture == NO_TOUCH}
+    resting = {setup_of(each): each.counts for each in reversed(recordings) if each.gesture == NO_TOUCH}
     usual = next(iter(resting.values()), np.zeros((1, ROWS, COLUMNS)))
     found = []
     for each in recordings:
-        rest = resting.get(set_up(each), usual)
+        rest = resting.get(setup_of(each), usual)
         if isinstance(each, InPassing):
             # The rest before the touch if it is long enough: afterwards a fabric's rest has shifted.
             is_enough = each.first >= LEAST_AFTER_FRAMES

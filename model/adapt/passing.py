@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH
-from touchd.drivers.recording import Recording, on_grid, set_up
+from touchd.drivers.recording import Recording, on_grid, setup_of
 
 # The longest window; a longer touch is an ordinary recording.
 WINDOW_FRAMES = 144
@@ -50,7 +50,7 @@ def joined(parts: Sequence[Recording]) -> list[Recording]:
     return found
 
 
-def whole(parts: Sequence[Recording]) -> Recording:
+def concatenated(parts: Sequence[Recording]) -> Recording:
     """Return parts that follow one another as one recording, with the labels of the first."""
     counts, sensor_ms = ([getattr(part, name) for part in parts] for name in ("counts", "sensor_ms"))
     return replace(parts[0], counts=np.concatenate(counts), sensor_ms=np.concatenate(sensor_ms))
@@ -62,17 +62,17 @@ def _frames(ms: np.int64) -> int:
 
 def _follows(one: Recording, other: Recording) -> bool:
     """Whether `other` follows `one`, and one of them is a touch and the other rest."""
-    is_pair = (one.gesture == NO_TOUCH) != (other.gesture == NO_TOUCH) and set_up(one) == set_up(other)
+    is_pair = (one.gesture == NO_TOUCH) != (other.gesture == NO_TOUCH) and setup_of(one) == setup_of(other)
     return is_pair and bool(0 < other.sensor_ms[0] - one.sensor_ms[-1] <= CUT_MS)
 
 
 def _in_passing(touch: Recording, parts: Sequence[Recording]) -> list[Recording]:
     """Return a touch and the rest around it as one recording; none if it is too short or has a gap."""
     start_ms, end_ms = parts[0].sensor_ms[0], parts[-1].sensor_ms[-1]
-    laid = on_grid(whole(parts))
+    laid = on_grid(concatenated(parts))
     first = _frames(touch.sensor_ms[0] - start_ms)
     over = _frames(touch.sensor_ms[-1] - start_ms) + 1
     has_gap = len(laid.counts) < _frames(end_ms - start_ms) - 1
     if has_gap or over - first < LEAST_FRAMES or len(laid.counts) - over < LEAST_AFTER_FRAMES:
         return []
-    return [InPassing(*set_up(laid), touch.gesture, laid.counts, laid.sensor_ms, "live", first, over)]
+    return [InPassing(*setup_of(laid), touch.gesture, laid.counts, laid.sensor_ms, "live", first, over)]

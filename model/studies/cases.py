@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from touchd.daemon.path.tracker import Onset, TouchSettings, TouchTracker
 from touchd.drivers.frame import FRAME_RATE_HZ, NO_TOUCH
 from touchd.drivers.pad.grid import GridFrame
-from touchd.drivers.recording import Recording, set_up
+from touchd.drivers.recording import Recording, setup_of
 from touchd.model.detector import Detector
 
 Scans = NDArray[np.float32]
@@ -53,13 +53,13 @@ class Case:
 
 def spliced(recordings: Sequence[Recording], level_rest: bool) -> list[Case]:
     """Return a case for each touching recording; there must be a notouch one for each condition."""
-    quiet = {set_up(recording): recording for recording in recordings if recording.gesture == NO_TOUCH}
+    quiet = {setup_of(recording): recording for recording in recordings if recording.gesture == NO_TOUCH}
     cases = []
     for recording in recordings:
         if recording.gesture == NO_TOUCH:
             continue
         gesture = recording.counts.astype(np.float32)
-        rest = quiet[set_up(recording)].counts.astype(np.float32)
+        rest = quiet[setup_of(recording)].counts.astype(np.float32)
         # A resting hand never leaves the pad, so its recording does not show the pad's own rest.
         if level_rest and recording.gesture != "constant":
             own_rest = np.percentile(gesture, REST_PERCENTILE, axis=0) + REST_OFFSET_COUNTS

@@ -85,7 +85,7 @@ def _together(answers: Sequence[Answers], length: int) -> tuple[Floats, Labels]:
     return np.concatenate(logits), np.concatenate(labels)
 
 
-def modest(studies: Iterable[Mapping[int, float]]) -> dict[int, float]:
+def highest(studies: Iterable[Mapping[int, float]]) -> dict[int, float]:
     """Return the highest temperature of any study at each length, which claims the least confidence."""
     fitted = list(studies)
     return {length: max(temperatures[length] for temperatures in fitted) for length in LENGTHS}

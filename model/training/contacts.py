@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.drivers.frame import COLUMNS, NO_TOUCH, ROWS
-from touchd.drivers.recording import Recording, set_up
+from touchd.drivers.recording import Recording, setup_of
 
 LEAVES = ("pat", "stroke")
 """Gestures whose hand leaves the pad between two contacts."""
@@ -77,10 +77,10 @@ def rests_of(recordings: Sequence[Recording]) -> list[list[int]]:
     of_person: dict[str, list[int]] = {}
     for i, recording in enumerate(recordings):
         if recording.gesture == NO_TOUCH:
-            of_set_up.setdefault(set_up(recording), []).append(i)
+            of_set_up.setdefault(setup_of(recording), []).append(i)
             of_person.setdefault(recording.participant, []).append(i)
     return [
-        of_set_up.get(set_up(recording)) or of_person.get(recording.participant, [])
+        of_set_up.get(setup_of(recording)) or of_person.get(recording.participant, [])
         for recording in recordings
     ]
 

@@ -244,7 +244,7 @@ def _calibrated(
         shift = calibrate.fit_shift([*zip(*answers, strict=True)], haart.LABELS, most)
         answers = [_shifted(fold, haart.LABELS, shift) for fold in answers]
     fitted = (calibrate.fit_temperatures(study) for study in zip(*answers, strict=True))
-    return Calibration(calibrate.modest(fitted), shift)
+    return Calibration(calibrate.highest(fitted), shift)
 
 
 def _export(

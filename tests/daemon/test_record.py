@@ -18,7 +18,7 @@ from touchd.daemon.record.dialogue import Dialogue
 from touchd.daemon.record.session import Session, Setting, Take
 from touchd.daemon.view.terminal import text_width
 from touchd.drivers.frame import Frame
-from touchd.drivers.recording import RecordingError, prepare, read_recordings
+from touchd.drivers.recording import RecordingError, prepare_folder, read_recordings
 from touchd.model.classifier import Classifier
 
 # What a hand leaves in a soft pad creeps back slowly.
@@ -71,8 +71,8 @@ def test_the_setting_alone_decides_the_order(tmp_path: Path) -> None:
 def test_a_folder_that_cannot_be_written_is_reported_first(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(RecordingError, match="cannot be kept there"):
-        prepare(tmp_path / "file")
-    prepare(tmp_path / "new" / "folder")
+        prepare_folder(tmp_path / "file")
+    prepare_folder(tmp_path / "new" / "folder")
     assert list((tmp_path / "new" / "folder").iterdir()) == []
 
 

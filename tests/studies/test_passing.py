@@ -70,7 +70,7 @@ def test_the_rest_shifts_by_at_most_eight_counts() -> None:
     assert (shift[1, 1], shift[0, 0]) == (5, 8)
 
 
-def set_up(touched: Recording) -> tuple[Frames, Passing, torch.Generator]:
+def setup_of(touched: Recording) -> tuple[Frames, Passing, torch.Generator]:
     """Return what windows are made of: a recording at rest, and a touched one."""
     recordings = [recording("notouch", []), touched]
     frames = Frames.of([torch.from_numpy(each.counts.astype(np.float32)) for each in recordings])
@@ -80,7 +80,7 @@ def set_up(touched: Recording) -> tuple[Frames, Passing, torch.Generator]:
 @pytest.mark.parametrize("gesture", ["pat", "stroke", "rub"])
 def test_a_window_of_a_touch_in_passing_ends_in_rest(gesture: str) -> None:
     spans = {"pat": PATS, "stroke": [(50, 80), (100, 135)], "rub": [(0, 400)]}[gesture]
-    frames, passing, rng = set_up(recording(gesture, spans))
+    frames, passing, rng = setup_of(recording(gesture, spans))
     windows, over = passing._windows(frames, torch.ones(64, dtype=torch.long), 144, rng)
     for window, end in zip(windows, over.tolist(), strict=True):
         level = window.sum(dim=(1, 2)) - 64 * PAD_REST
@@ -89,7 +89,7 @@ def test_a_window_of_a_touch_in_passing_ends_in_rest(gesture: str) -> None:
 
 
 def test_rest_is_never_made_a_touch_in_passing() -> None:
-    frames, passing, rng = set_up(recording("rub", [(0, 400)]))
+    frames, passing, rng = setup_of(recording("rub", [(0, 400)]))
     before = torch.rand(8, 144, 8, 8)
     lengths = torch.tensor([54, 144]).expand(8, -1)
     rest = torch.zeros(8, dtype=torch.long)
@@ -100,7 +100,7 @@ def test_rest_is_never_made_a_touch_in_passing() -> None:
 
 
 def test_answers_long_after_the_hand_left_have_no_weight() -> None:
-    frames, passing, rng = set_up(recording("pat", PATS))
+    frames, passing, rng = setup_of(recording("pat", PATS))
     chosen = torch.ones(32, dtype=torch.long)
     lengths = torch.tensor([9, 144]).expand(32, -1)
     _, asked, weights = passing.some(frames, chosen, torch.zeros(32, 144, 8, 8), lengths, 1.0, rng)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from touchd.daemon.path.decide import FINAL_ABOVE
 from touchd.daemon.path.events import UNCERTAIN, Event, Prediction, epoch_s
 from touchd.drivers.frame import FRAME_RATE_HZ, MAX_COUNT, NO_TOUCH, Counts
-from touchd.drivers.recording import Recording, set_up
+from touchd.drivers.recording import Recording, setup_of
 from touchd.model.classifier import Classifier
 from touchd.model.studies.folders import STUDIES, TEST, THIRD, folders_of, never_seen, study_parser
 from touchd.model.studies.marked import fill, table
@@ -121,7 +121,7 @@ def sessions(recordings: Sequence[Recording]) -> Iterator[PassingSession]:
     rng = random.Random(7)
     conditions: dict[tuple[str, str, str], list[Recording]] = {}
     for recording in recordings:
-        conditions.setdefault(set_up(recording), []).append(recording)
+        conditions.setdefault(setup_of(recording), []).append(recording)
     for (participant, _, _), own in sorted(conditions.items()):
         resting = [recording for recording in own if recording.gesture == NO_TOUCH]
         if not resting:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, NO_TOUCH, ROWS, Counts
-from touchd.drivers.recording import Recording, set_up
+from touchd.drivers.recording import Recording, setup_of
 from touchd.model.training.contacts import shift_of_rest
 
 QUIET_FRAMES = 162
@@ -75,7 +75,7 @@ def together(recordings: Sequence[Recording]) -> Iterator[tuple[Condition, dict[
     """Yield the counts by gesture of each person and condition with a notouch recording."""
     conditions: dict[Condition, dict[str, list[Scans]]] = {}
     for recording in recordings:
-        by_gesture = conditions.setdefault(set_up(recording), {})
+        by_gesture = conditions.setdefault(setup_of(recording), {})
         by_gesture.setdefault(recording.gesture, []).append(recording.counts)
     yield from ((key, counts) for key, counts in sorted(conditions.items()) if NO_TOUCH in counts)
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.drivers.frame import COLUMNS, FRAME_RATE_HZ, MAX_COUNT, NO_TOUCH, ROWS
-from touchd.drivers.recording import Recording, set_up
+from touchd.drivers.recording import Recording, setup_of
 from touchd.model.training.contacts import LEAVES, contacts, lightest, shift_of_rest
 from touchd.model.training.detector.disturb import disturbed, read_by_another_pad
 from touchd.model.training.studies import study_of
@@ -72,7 +72,7 @@ def set_ups(recordings: Sequence[Recording]) -> list[SetUp]:
     """Return the set-ups that have a recording at rest."""
     by_set_up: dict[object, list[Recording]] = {}
     for recording in recordings:
-        by_set_up.setdefault(set_up(recording), []).append(recording)
+        by_set_up.setdefault(setup_of(recording), []).append(recording)
     found = []
     for own in by_set_up.values():
         rests = [np.asarray(one.counts, np.float32) for one in own if one.gesture == NO_TOUCH]
