@@ -12,7 +12,7 @@ CANDIDATES := python3 python3.14 python3.13 python3.12 python3.11 python3.10
 PYTHON ?= $(shell for python in $(CANDIDATES); do \
 	$$python -c 'import ensurepip, venv; $(FITS)' 2>/dev/null && command -v $$python && exit; done)
 
-# Fails with what to do where no Python fits.
+# Fails with advice if no Python fits.
 define check-python
 test "$$(uname -s)" = Linux || { echo "touchd runs on Linux alone; elsewhere, use a virtual machine or WSL 2"; exit 1; }; \
 for python in $(or $(PYTHON),$(CANDIDATES)); do \
@@ -42,8 +42,8 @@ unknown='$(filter-out live $(OTHER_EXTRAS),$(WANTED))'; test -z "$$unknown" || \
   { echo "there is no extra $$unknown; EXTRAS takes $(OTHER_EXTRAS)"; exit 1; }
 endef
 
-# The only index from which development gets torch: without an NVIDIA GPU, that of the build for processors alone, 1 GB
-# on the disk. TORCH_INDEX= (empty) is the ordinary index, with CUDA, 6 GB: for GPUs, and where no other is reached.
+# The index from which development gets torch. Without an NVIDIA GPU: that of the build for CPUs, 1 GB on the disk.
+# TORCH_INDEX= (empty): the ordinary index, with CUDA, 6 GB; for GPUs, or where the other cannot be reached.
 TORCH_ON_CPU := https://download.pytorch.org/whl/cpu
 TORCH_INDEX ?= $(if $(shell command -v nvidia-smi),,$(TORCH_ON_CPU))
 RUNTIME := $(VENV)/.runtime.stamp
@@ -98,8 +98,8 @@ soak: $(RUNTIME)
 expectations: $(RUNTIME)
 	PYTHONPATH=tests $(BIN)/python -m rigs.pairs $(if $(ADD),--add $(ADD))
 
-# cosmic-ray has an environment of its own: no test and nothing that is installed needs it. With the tests that are
-# about the file it takes minutes. SAMPLE: how many faults, drawn at random; 0 for all.
+# cosmic-ray gets its own environment, as nothing else needs it. With only the tests about the file it takes minutes.
+# SAMPLE: how many faults, drawn at random; 0 for all.
 MUTATION := $(VENV)/mutation
 TESTS ?= tests
 SAMPLE ?= 0
@@ -110,8 +110,8 @@ mutants: $(DEVELOPMENT)
 	@PYTHONPATH=.:tests nice -n 15 $(BIN)/python -m by_hand.mutants --tool $(MUTATION) --sample $(SAMPLE) \
 	  --tests '$(TESTS)' $(FILES)
 
-# PREFIX/touchd becomes a virtual environment of the service's own. DESTDIR: where a package is put together.
-# BINDIR: where the command is linked, for every shell. SYSTEM: where systemd and udev look, /usr/lib in a package.
+# PREFIX/touchd becomes the service's own virtual environment. DESTDIR: where a package is assembled. BINDIR: where the
+# command is linked, for every shell. SYSTEM: where systemd and udev look, /usr/lib in a package.
 PREFIX ?= /opt
 BINDIR ?= /usr/local/bin
 SYSTEM ?= /etc
@@ -123,8 +123,8 @@ ETC := $(DESTDIR)/etc
 
 install: install-program install-files
 
-# The new program is built beside the old one, which runs on until the two change places: an upgrade that fails,
-# for want of a network perhaps, leaves the old one as it was.
+# The new program is built beside the old one, which keeps running until they are swapped. A failed upgrade, perhaps
+# without a network, leaves the old one unchanged.
 install-program:
 	@$(check-python)
 	@$(check-extras)
@@ -144,7 +144,7 @@ install-program:
 	@rm -rf $(DESTDIR)$(PROGRAM)
 	@mv $(NEW) $(DESTDIR)$(PROGRAM)
 
-# What is in /etc/touchd already is the user's: an upgrade only renews the example beside it.
+# Existing files in /etc/touchd are the user's: an upgrade only replaces the example beside them.
 # touchd@NAME is the same service for one of several pads; it reads /etc/touchd/NAME.yaml.
 install-files:
 	@install -d $(ETC)/touchd $(UNITS) $(DESTDIR)$(BINDIR)
@@ -186,8 +186,8 @@ deb:
 	dpkg-deb --root-owner-group -Zgzip -z1 --build $(PACKAGE) dist/touchd_$${version}_$$arch.deb
 	@rm -rf $(PACKAGE)
 
-# The lock holds hashes for every platform and for Python 3.10 to 3.14, of pip and setuptools too: venv brings old
-# ones. The constraints hold versions alone, so that a new tool in pyproject.toml needs no renewal first.
+# The lock holds hashes for every platform and for Python 3.10 to 3.14, also of pip and setuptools, as venv brings old
+# ones. The constraints hold only versions, so that a new tool in pyproject.toml needs no renewal first.
 LOCK := $(BIN)/uv pip compile --quiet --universal --python-version 3.10 --custom-compile-command "make lock" pyproject.toml
 lock: $(DEVELOPMENT)
 	printf 'pip\nsetuptools>=77\n' | $(LOCK) - --upgrade --generate-hashes --no-annotate --extra live \

@@ -136,10 +136,8 @@ def _quiet_for(recording: Recording, quiet: Sequence[Recording]) -> Recording:
     if not quiet:
         rest = np.repeat(recording.counts.min(axis=0, keepdims=True), QUIET_FRAMES, axis=0)
         return replace(recording, gesture=NO_TOUCH, counts=rest, sensor_ms=ideal_clock_ms(QUIET_FRAMES))
-    best = max(
-        quiet,
-        key=lambda one: (one.participant == recording.participant, setup_of(one) == setup_of(recording)),
-    )
+    person, setup = recording.participant, setup_of(recording)
+    best = max(quiet, key=lambda one: (one.participant == person, setup_of(one) == setup))
     # Keep participant and condition: otherwise the clock would restart, and rest be measured under a hand.
     quiet_ms = 1000 * QUIET_FRAMES / FRAME_RATE_HZ
     frames = int(np.searchsorted(best.sensor_ms, best.sensor_ms[0] + quiet_ms))
