@@ -32,10 +32,10 @@ SETTLE_S = 0.5
 EMPTY_FOR_S = 0.1
 
 
-T = TypeVar("T", bound="_FakeLine")
+T = TypeVar("T", bound="_FakePty")
 
 
-class _FakeLine(ABC):
+class _FakePty(ABC):
     """A pseudo-terminal, and the thread that sends through it."""
 
     def __init__(self) -> None:
@@ -93,7 +93,7 @@ class _FakeLine(ABC):
             return False
 
 
-class LivePort(_FakeLine):
+class LivePort(_FakePty):
     """Sends a frame 54 times a second; frames that nobody reads are lost, as with a real pad.
 
     scan: returns what the pad reads now, given the sensor's clock in ms. encode: as for `FakePort`.
@@ -118,7 +118,7 @@ class LivePort(_FakeLine):
             self._discards_input()
 
 
-class FakePort(_FakeLine):
+class FakePort(_FakePty):
     """Plays `stream` through a pty from the moment a reader opens `path`.
 
     encode: turns counts (8, 8) and a clock in ms into the bytes of one frame. speed: 1 keeps the stream's own

@@ -29,7 +29,7 @@ STUDIES = {
         "studies.sessions.passing",
         "sessions.md: touches of a second or less, and hands that change",
     ),
-    "tables": ("studies.tables", "sessions.md: all of detection and of what is said in use, in one file"),
+    "tables": ("studies.tables", "sessions.md: detection and answers in use, in one file"),
 }
 
 

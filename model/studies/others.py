@@ -1,9 +1,9 @@
 """Touches that are none of the gestures: `python -m touchd.model.studies others`.
 
-Recorded ones are the third study's eight other gestures, by people whom the network never saw; each of the
-eight is also held out once. Blows and squeezes are made here, other than those of the training, on the rest
-of HAART's test people. Caresses are those of the page's hand. All but the windows goes through the daemon's
-pipeline. With `--firm-pad`, a pad that nothing was trained on.
+The recorded ones are the third study's eight other gestures, by people whom the network never saw; each of
+the eight is also held out once. Blows and squeezes are simulated, differently from those of the training, on
+the rest of HAART's test people. Caresses are those of the page's hand. All except windows are played through
+the daemon's pipeline. `--firm-pad` adds a pad on which nothing was trained.
 """
 
 import logging
@@ -84,7 +84,7 @@ class Lost(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Trade(msgspec.Struct, frozen=True, kw_only=True):
-    """If `other` counted from one probability on: percent of the eight others named, of the six lost."""
+    """With one limit on the probability of `other`: percent of the eight others named, of the six lost."""
 
     limit: float
     named: float

@@ -20,7 +20,7 @@ HISTORY_FRAMES = 1500
 
 
 class Player(Protocol):
-    """What becomes of frames: `play` or `detect`."""
+    """The type of `play` and `detect`."""
 
     def __call__(
         self,

@@ -1,10 +1,10 @@
-"""Every figure of detection and of what is said in use, in one file: `python -m touchd.model.studies tables`.
+"""Measures all figures of detection and answers in use, in one file: `python -m touchd.model.studies tables`.
 
-A change is judged by it: sessions, also disturbed; streams of another pad; touches in passing; hands that
-change; a firm pad; how soon a touch is found. Networks never saw the people, but for the pads never met.
+They decide on a change: sessions, also disturbed; streams of another pad; touches in passing; hands that
+change; a firm pad; how soon a touch is found. Networks never saw the people, except for pads never met.
 Results are stored one by one, so an interrupted run resumes. `--against FILE` prints what differs.
 
-`detection` measures what the tracker alone decides, in minutes. Both fill tables of sessions.md.
+`detection` measures only the tracker, in minutes. Both fill tables of sessions.md.
 """
 
 import argparse
@@ -74,8 +74,8 @@ def session_figures(split: Split, settings: SessionSettings, player: Player = pl
 
 def passing_figures(split: Split) -> Figures:
     """Score the touches of a visitor; see `passing.MIXED`."""
-    fates = [fate for model, own in split for fate in passing.measure(own, model)]
-    return msgspec.structs.asdict(passing.score([fate for fate in fates if fate.touch.is_in_mix]))
+    outcomes = [outcome for model, own in split for outcome in passing.measure(own, model)]
+    return msgspec.structs.asdict(passing.score([outcome for outcome in outcomes if outcome.touch.is_in_mix]))
 
 
 def delay_figures(split: Split, player: Player, settings: PipelineSettings = DEFAULT) -> Figures:
@@ -251,7 +251,7 @@ def differences(now: Results, before: Results) -> Iterator[str]:
 
 def main(arguments: Sequence[str]) -> int:
     """Measure what is not stored yet, print what differs; returns 0."""
-    options = _options("tables", "Measures every figure of detection and of what is said in use.", arguments)
+    options = _options("tables", "Measures all figures of detection and answers in use.", arguments)
     tables = Tables(options, play)
     results = _measure(options, FILE, chain(tables.detection(), tables.answers()))
     if not options.only:

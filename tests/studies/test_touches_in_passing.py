@@ -89,16 +89,16 @@ def test_a_touch_is_scored_by_what_was_told_last(events: list[Event], expected: 
 
 
 def test_a_lower_limit_names_more_of_the_ended_touches() -> None:
-    (fate,) = judge(SESSION, touch_at(3.0, answer("uncertain", "uncertain", 4.3, stroke=0.35, rub=0.3)))
-    assert passing.curve([fate], (0.3, 0.4)) == [(0.3, 100.0, 100.0), (0.4, 0.0, 0.0)]
+    (outcome,) = judge(SESSION, touch_at(3.0, answer("uncertain", "uncertain", 4.3, stroke=0.35, rub=0.3)))
+    assert passing.curve([outcome], (0.3, 0.4)) == [(0.3, 100.0, 100.0), (0.4, 0.0, 0.0)]
 
 
 def test_a_change_counts_once_both_gestures_were_told() -> None:
     pair = changes.Pair("rub", "pat", np.zeros((1, 8, 8), np.uint16), changes=324)
     at_s = 324 / 54
     events = [answer("early", "rub", 3.0), answer("ongoing", "pat", at_s + 1.2)]
-    fates = [changes.judge(pair, events), changes.judge(pair, [answer("early", "stroke", 3.0)])]
-    found = changes.score(fates)
+    outcomes = [changes.judge(pair, events), changes.judge(pair, [answer("early", "stroke", 3.0)])]
+    found = changes.score(outcomes)
     assert (found.both, found.last, found.third, found.after_s, found.n) == (50.0, 50.0, 50.0, 1.2, 2)
 
 

@@ -46,7 +46,7 @@ class Pair:
 
 
 @dataclass(frozen=True)
-class Fate:
+class Outcome:
     """What was told of a pair: gestures, and seconds after the change."""
 
     pair: Pair
@@ -79,33 +79,37 @@ def pairs(recordings: Sequence[Recording]) -> Iterator[Pair]:
             yield Pair(name, other, np.concatenate(parts).astype(np.uint16), sum(map(len, first)))
 
 
-def judge(pair: Pair, events: Sequence[Event]) -> Fate:
+def judge(pair: Pair, events: Sequence[Event]) -> Outcome:
     """Return what was told of a pair."""
     told = [event for event in events if isinstance(event, Prediction) and event.told]
     changes_s = pair.changes / FRAME_RATE_HZ
     named = [(event.gesture, epoch_s(event.time) - changes_s) for event in told if event.gesture != UNCERTAIN]
-    return Fate(pair, tuple(named))
+    return Outcome(pair, tuple(named))
 
 
-def score(fates: Sequence[Fate]) -> ChangeScore:
+def score(outcomes: Sequence[Outcome]) -> ChangeScore:
     """Return the figures of these pairs together."""
-    after_s = [fate.second_after_s for fate in fates]
+    after_s = [outcome.second_after_s for outcome in outcomes]
     known_s = [each for each in after_s if each is not None]
 
     def percent(some: int) -> float:
-        return round(100.0 * some / max(1, len(fates)), 1)
+        return round(100.0 * some / max(1, len(outcomes)), 1)
 
     return ChangeScore(
         both=percent(len(known_s)),
-        last=percent(sum(fate.told[-1:] != () and fate.told[-1][0] == fate.pair.second for fate in fates)),
+        last=percent(
+            sum(
+                outcome.told[-1:] != () and outcome.told[-1][0] == outcome.pair.second for outcome in outcomes
+            )
+        ),
         third=percent(
             sum(
-                any(name not in (fate.pair.first, fate.pair.second) for name, _ in fate.told)
-                for fate in fates
+                any(name not in (outcome.pair.first, outcome.pair.second) for name, _ in outcome.told)
+                for outcome in outcomes
             )
         ),
         after_s=round(float(np.mean(known_s)), 2) if known_s else 0.0,
-        n=len(fates),
+        n=len(outcomes),
     )
 
 

@@ -82,8 +82,8 @@ class PassingSession:
 
 
 @dataclass(frozen=True)
-class Fate:
-    """What became of one touch. told: gestures told, in order. answered_s: from lift-off to the first answer.
+class Outcome:
+    """The outcome of one touch. told: gestures told, in order. answered_s: from lift-off to the first answer.
 
     perhaps: what an `uncertain` event would have said; "" if none. ended: the likeliest gesture and its
     confidence in the answer to the ended touch; None for one that had its final answer.
@@ -182,7 +182,7 @@ def _cut(
         yield f"{seconds:g} s", rest + (counts[start : start + frames] - rest) * contact.astype(np.float32)
 
 
-def judge(session: PassingSession, events: Iterable[Event]) -> list[Fate]:
+def judge(session: PassingSession, events: Iterable[Event]) -> list[Outcome]:
     """Compare the daemon's answers with the touches made."""
     detected = detected_in(events)
     return [_fate(touch, [each for each in detected if _belongs(each, touch)]) for touch in session.touches]
@@ -193,12 +193,12 @@ def _belongs(detected: Detected, touch: PassingTouch) -> bool:
     return detected.start_ms < stop_ms + BESIDE_MS and detected.stop_ms > start_ms - BESIDE_MS
 
 
-def _fate(touch: PassingTouch, detected: Sequence[Detected]) -> Fate:
+def _fate(touch: PassingTouch, detected: Sequence[Detected]) -> Outcome:
     answers = [answer for each in detected for answer in each.answers]
     told = [answer for answer in answers if answer.told and answer.gesture != UNCERTAIN]
     over_s = touch.stop * FRAME_MS / 1000.0
     last = answers[-1] if answers else None
-    return Fate(
+    return Outcome(
         touch,
         len(detected),
         tuple(answer.gesture for answer in told),
@@ -213,61 +213,71 @@ def _likeliest(answer: Prediction) -> tuple[str, float]:
     return name, answer.probabilities[name]
 
 
-def score(fates: Sequence[Fate]) -> PassingScore:
+def score(outcomes: Sequence[Outcome]) -> PassingScore:
     """Return the figures of these touches together."""
-    named = [fate for fate in fates if fate.told]
-    right = [fate for fate in named if fate.told[-1] == fate.touch.gesture]
-    waits_s = [fate.answered_s for fate in named if fate.answered_s is not None and fate.answered_s > 0.0]
+    named = [outcome for outcome in outcomes if outcome.told]
+    right = [outcome for outcome in named if outcome.told[-1] == outcome.touch.gesture]
+    waits_s = [
+        outcome.answered_s for outcome in named if outcome.answered_s is not None and outcome.answered_s > 0.0
+    ]
 
     def percent(some: int, of: int | None = None) -> float:
-        return round(100.0 * some / max(1, len(fates) if of is None else of), 1)
+        return round(100.0 * some / max(1, len(outcomes) if of is None else of), 1)
 
     return PassingScore(
         right=percent(len(right)),
         right_of_named=percent(len(right), len(named)),
-        missed=percent(sum(not fate.detected for fate in fates)),
-        several=percent(sum(fate.detected > 1 for fate in fates)),
+        missed=percent(sum(not outcome.detected for outcome in outcomes)),
+        several=percent(sum(outcome.detected > 1 for outcome in outcomes)),
         harmful=percent(
-            sum(any(a == fate.touch.gesture != b for a, b in pairwise(fate.told)) for fate in fates)
+            sum(
+                any(a == outcome.touch.gesture != b for a, b in pairwise(outcome.told))
+                for outcome in outcomes
+            )
         ),
-        perhaps=percent(sum(fate.touch.gesture in (*fate.told[-1:], fate.perhaps) for fate in fates)),
+        perhaps=percent(
+            sum(outcome.touch.gesture in (*outcome.told[-1:], outcome.perhaps) for outcome in outcomes)
+        ),
         answered_s=round(float(np.mean(waits_s)), 3) if waits_s else 0.0,
-        n=len(fates),
+        n=len(outcomes),
     )
 
 
-def measure(recordings: Sequence[Recording], model: Classifier) -> list[Fate]:
-    """Play a session for each person and condition; return what became of the touches."""
+def measure(recordings: Sequence[Recording], model: Classifier) -> list[Outcome]:
+    """Play a session for each person and condition; return the outcome of each touch."""
     return [
-        fate
+        outcome
         for session in sessions(recordings)
-        for fate in judge(session, play(frames_of(session.counts), model, flush=True))
+        for outcome in judge(session, play(frames_of(session.counts), model, flush=True))
     ]
 
 
-def rows(fates: Sequence[Fate]) -> dict[str, PassingScore]:
+def rows(outcomes: Sequence[Outcome]) -> dict[str, PassingScore]:
     """Return the scores of the visitor's mix, and of each gesture and kind."""
-    groups: dict[str, list[Fate]] = {"mix": [fate for fate in fates if fate.touch.is_in_mix], "all": [*fates]}
-    for fate in sorted(fates, key=lambda fate: (fate.touch.gesture, fate.touch.kind)):
-        groups.setdefault(f"{fate.touch.gesture}, {fate.touch.kind}", []).append(fate)
+    groups: dict[str, list[Outcome]] = {
+        "mix": [outcome for outcome in outcomes if outcome.touch.is_in_mix],
+        "all": [*outcomes],
+    }
+    for outcome in sorted(outcomes, key=lambda outcome: (outcome.touch.gesture, outcome.touch.kind)):
+        groups.setdefault(f"{outcome.touch.gesture}, {outcome.touch.kind}", []).append(outcome)
     return {name: score(own) for name, own in groups.items() if own}
 
 
-def curve(fates: Sequence[Fate], limits: Sequence[float]) -> list[tuple[float, float, float]]:
+def curve(outcomes: Sequence[Outcome], limits: Sequence[float]) -> list[tuple[float, float, float]]:
     """Return for each value of `final_above`: it, percent right of all, percent right of the named."""
     rows = []
     for limit in limits:
         named = [
-            fate.ended[0]
-            if fate.ended is not None and fate.ended[1] >= limit and fate.ended[0] != NO_TOUCH
-            else next(iter(fate.told[-1:]), None)
-            if fate.ended is None
+            outcome.ended[0]
+            if outcome.ended is not None and outcome.ended[1] >= limit and outcome.ended[0] != NO_TOUCH
+            else next(iter(outcome.told[-1:]), None)
+            if outcome.ended is None
             else None
-            for fate in fates
+            for outcome in outcomes
         ]
-        right = sum(name == fate.touch.gesture for name, fate in zip(named, fates, strict=True))
+        right = sum(name == outcome.touch.gesture for name, outcome in zip(named, outcomes, strict=True))
         count = sum(name is not None for name in named)
-        rows.append((limit, round(100 * right / len(fates), 1), round(100 * right / max(1, count), 1)))
+        rows.append((limit, round(100 * right / len(outcomes), 1), round(100 * right / max(1, count), 1)))
     return rows
 
 
@@ -286,10 +296,10 @@ class Measured(msgspec.Struct, frozen=True, kw_only=True):
     changes: dict[str, ChangeScore]
 
 
-def row_of(fates: Sequence[Fate]) -> Row:
+def row_of(outcomes: Sequence[Outcome]) -> Row:
     """Return one study's figures."""
-    mix = [fate for fate in fates if fate.touch.is_in_mix]
-    return Row(scores=rows(fates), curve=curve(mix, LIMITS))
+    mix = [outcome for outcome in outcomes if outcome.touch.is_in_mix]
+    return Row(scores=rows(outcomes), curve=curve(mix, LIMITS))
 
 
 def tables(measured: Measured) -> dict[str, str]:
@@ -340,7 +350,7 @@ def main(arguments: Sequence[str]) -> int:
     changed: dict[str, ChangeScore] = {}
     people = never_seen(folders_of(options), options.weights)
     for name, split in people.items():
-        passing[name] = row_of([fate for model, own in split for fate in measure(own, model)])
+        passing[name] = row_of([outcome for model, own in split for outcome in measure(own, model)])
         if name != THIRD:
             changed[name] = changes.measure(split)
         sys.stderr.write(f"{name}: {msgspec.json.encode(passing[name].scores['mix']).decode()}\n")

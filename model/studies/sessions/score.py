@@ -55,7 +55,7 @@ class Detected:
 
 
 @dataclass(frozen=True)
-class Fate:
+class Outcome:
     """The outcome of one touch made. answers: of the detected touch, if no earlier touch is merged into it.
 
     open: whether the detected touch had not ended OPEN_MS after the hand left.
@@ -87,7 +87,7 @@ class Fate:
 class Played:
     """One session's touches, its quiet time, and the touches detected in that time."""
 
-    fates: tuple[Fate, ...]
+    outcomes: tuple[Outcome, ...]
     quiet_min: float
     false: int
 
@@ -107,26 +107,26 @@ def judge(session: PlannedSession, events: Iterable[Event]) -> Played:
 
 def score(played: Sequence[Played]) -> SessionScore:
     """Return the figures of these sessions together."""
-    fates = [fate for one in played for fate in one.fates]
+    outcomes = [outcome for one in played for outcome in one.outcomes]
 
-    def percent(is_so: Callable[[Fate], bool]) -> float:
-        return round(100.0 * sum(map(is_so, fates)) / len(fates), 1)
+    def percent(is_so: Callable[[Outcome], bool]) -> float:
+        return round(100.0 * sum(map(is_so, outcomes)) / len(outcomes), 1)
 
-    first_s = [fate.first_s for fate in fates if fate.told]
+    first_s = [outcome.first_s for outcome in outcomes if outcome.told]
     return SessionScore(
-        missed=percent(lambda fate: fate.missed),
-        merged=percent(lambda fate: fate.merged),
-        split=percent(lambda fate: fate.split),
-        open=percent(lambda fate: fate.open),
-        early=percent(lambda fate: fate.is_right_at("early")),
-        revised=percent(lambda fate: fate.is_right_at("revised")),
-        final=percent(lambda fate: fate.is_right_at("final")),
-        last=percent(lambda fate: fate.told[-1:] == [fate.gesture]),
-        first=percent(lambda fate: fate.told[:1] == [fate.gesture]),
-        harmful=percent(lambda fate: any(a == fate.gesture != b for a, b in pairwise(fate.told))),
+        missed=percent(lambda outcome: outcome.missed),
+        merged=percent(lambda outcome: outcome.merged),
+        split=percent(lambda outcome: outcome.split),
+        open=percent(lambda outcome: outcome.open),
+        early=percent(lambda outcome: outcome.is_right_at("early")),
+        revised=percent(lambda outcome: outcome.is_right_at("revised")),
+        final=percent(lambda outcome: outcome.is_right_at("final")),
+        last=percent(lambda outcome: outcome.told[-1:] == [outcome.gesture]),
+        first=percent(lambda outcome: outcome.told[:1] == [outcome.gesture]),
+        harmful=percent(lambda outcome: any(a == outcome.gesture != b for a, b in pairwise(outcome.told))),
         false=round(10.0 * sum(one.false for one in played) / sum(one.quiet_min for one in played), 2),
         t_first=round(float(np.mean(first_s)), 3) if first_s else 99.0,
-        n=len(fates),
+        n=len(outcomes),
     )
 
 
@@ -152,13 +152,13 @@ def _overlaps(touch: Detected, stretch: Stretch) -> bool:
     return touch.start_ms < stop_ms - OVERLAP_MS and touch.stop_ms > start_ms + OVERLAP_MS
 
 
-def _fate(i: int, made: Stretch, detected: Sequence[Detected], inside: Sequence[Sequence[int]]) -> Fate:
+def _fate(i: int, made: Stretch, detected: Sequence[Detected], inside: Sequence[Sequence[int]]) -> Outcome:
     gesture = made.gesture or ""
     owners = [k for k, among in enumerate(inside) if i in among]
     if not owners:
-        return Fate(gesture, missed=True)
+        return Outcome(gesture, missed=True)
     owner = owners[-1] if len(inside[owners[0]]) > 1 and len(owners) > 1 else owners[0]
-    return Fate(
+    return Outcome(
         gesture=gesture,
         merged=len(inside[owner]) > 1,
         split=sum(len(inside[k]) == 1 for k in owners) > 1,
