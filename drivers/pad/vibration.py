@@ -37,8 +37,8 @@ LIKE_RADIANS = 0.4
 LEARNED = 0.3
 # If subtracting the sine quadruples the variance of half a window, the vibration has ended.
 ENDED = 4.0
-# Weights are learned from frames in which the sine is positive. If its period takes two to four frames, all
-# of these may have the same value. If they vary by less than this share of the sine, all frames are used.
+# Weights are learned from frames in which the sine is positive. If its period takes two to four frames, these
+# may all have the same value: if their variance is below this share of its power, all frames are used.
 SAME_SHARE = 0.03
 
 AGO = np.arange(1 - WINDOW_FRAMES, 1)

@@ -184,8 +184,8 @@ def _cut(
 
 def judge(session: PassingSession, events: Iterable[Event]) -> list[Outcome]:
     """Compare the daemon's answers with the touches made."""
-    detected = detected_in(events)
-    return [_fate(touch, [each for each in detected if _belongs(each, touch)]) for touch in session.touches]
+    found = detected_in(events)
+    return [_outcome(touch, [each for each in found if _belongs(each, touch)]) for touch in session.touches]
 
 
 def _belongs(detected: Detected, touch: PassingTouch) -> bool:
@@ -193,7 +193,7 @@ def _belongs(detected: Detected, touch: PassingTouch) -> bool:
     return detected.start_ms < stop_ms + BESIDE_MS and detected.stop_ms > start_ms - BESIDE_MS
 
 
-def _fate(touch: PassingTouch, detected: Sequence[Detected]) -> Outcome:
+def _outcome(touch: PassingTouch, detected: Sequence[Detected]) -> Outcome:
     answers = [answer for each in detected for answer in each.answers]
     told = [answer for answer in answers if answer.told and answer.gesture != UNCERTAIN]
     over_s = touch.stop * FRAME_MS / 1000.0

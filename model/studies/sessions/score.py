@@ -99,7 +99,7 @@ def judge(session: PlannedSession, events: Iterable[Event]) -> Played:
     inside = [[i for i, stretch in enumerate(made) if _overlaps(touch, stretch)] for touch in detected]
     quiet = sum(stretch.stop - stretch.start for stretch in session.stretches if stretch.gesture is None)
     return Played(
-        tuple(_fate(i, stretch, detected, inside) for i, stretch in enumerate(made)),
+        tuple(_outcome(i, stretch, detected, inside) for i, stretch in enumerate(made)),
         quiet / FRAME_RATE_HZ / 60.0,
         sum(not among for among in inside),
     )
@@ -152,7 +152,7 @@ def _overlaps(touch: Detected, stretch: Stretch) -> bool:
     return touch.start_ms < stop_ms - OVERLAP_MS and touch.stop_ms > start_ms + OVERLAP_MS
 
 
-def _fate(i: int, made: Stretch, detected: Sequence[Detected], inside: Sequence[Sequence[int]]) -> Outcome:
+def _outcome(i: int, made: Stretch, detected: Sequence[Detected], inside: Sequence[Sequence[int]]) -> Outcome:
     gesture = made.gesture or ""
     owners = [k for k, among in enumerate(inside) if i in among]
     if not owners:
