@@ -39,7 +39,7 @@ if typing.TYPE_CHECKING:
 class PadChannel:
     """One pad: its reader, the queue that the reader fills, and the pipeline that empties it.
 
-    frames: processed so far. is_up: None until the reader has said whether frames come.
+    frames: processed so far. is_up: whether frames come; None until the reader has reported it.
     """
 
     name: str

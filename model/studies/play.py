@@ -105,7 +105,7 @@ def detectors() -> tuple[Detector, ...]:
 
 
 def detector_for(model: Classifier) -> Detector:
-    """Return the detector that never saw whom and what this network never saw."""
+    """Return the detector that was trained without the people and the study that the network never saw."""
     training = model.metadata.training
     people, has_third = set(training.get("left_out", ())), "third" in training.get("studies", ("third",))
     return next(

@@ -41,7 +41,7 @@ REST_FRAMES = 162
 FADE_FRAMES = 4
 PIECES_S = (0.5, 1.0, 2.0)
 THREE = 3
-# The tracker may date a touch this much beside its true frames.
+# A detected touch belongs to a touch made that it overlaps, or from which it is at most this far.
 BESIDE_MS = 150.0
 ONE, SEVERAL = "one", "three"
 MIXED = ((ONE, "stroke"), (ONE, "pat"), (SEVERAL, "pat"), ("1 s", ""))
@@ -85,8 +85,8 @@ class PassingSession:
 class Outcome:
     """The outcome of one touch. told: gestures told, in order. answered_s: from lift-off to the first answer.
 
-    perhaps: what an `uncertain` event would have said; "" if none. ended: the likeliest gesture and its
-    confidence in the answer to the ended touch; None for one that had its final answer.
+    perhaps: the likeliest gesture of an `uncertain` answer, else "". ended: the likeliest gesture and its
+    confidence when the touch ended; None if it had its final answer before.
     """
 
     touch: PassingTouch
@@ -101,8 +101,8 @@ class PassingScore(msgspec.Struct, frozen=True, kw_only=True):
     """Percent of touches, unless stated otherwise.
 
     right: named rightly by the last answer. right_of_named: the same, of the touches that were named.
-    missed: not detected. several: detected as more than one. harmful: told right, then wrong. perhaps: right
-    in the last answer or, for an uncertain touch, in what it would have been.
+    missed: not detected. several: detected as more than one. harmful: told right, then wrong. perhaps: named
+    rightly by the last answer, or by its likeliest gesture if it is `uncertain`.
     answered_s: mean seconds from lift-off to the first answer, of touches answered after it. n: touches.
     """
 
