@@ -48,8 +48,11 @@ def pace_of(frames: Sequence[Frame]) -> Pace:
     steps = steps_ms(frames)
     usual_ms = float(np.median(steps))
     is_whole = steps < LOST_STEP * usual_ms
+    # If frames without a clock arrive in bursts, the steps do not show whether any is lost.
+    if usual_ms < 1 or steps[is_whole].std() > usual_ms / 4:
+        is_whole[:] = True
     lost = int(np.rint(steps[~is_whole] / usual_ms - 1).sum())
-    return Pace(1000.0 / float(steps[is_whole].mean()), float(steps[is_whole].std()), lost)
+    return Pace(1000.0 / max(float(steps[is_whole].mean()), 0.001), float(steps[is_whole].std()), lost)
 
 
 def relative_clock(frames: Sequence[Frame]) -> float:

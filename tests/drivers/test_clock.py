@@ -189,6 +189,13 @@ def test_frames_lost_in_a_gap_are_counted() -> None:
     assert pace.jitter_ms == 0.0
 
 
+@pytest.mark.parametrize("stamps", [[0] * 9, [0, 0, 0, 1] * 20, [0] * 49 + [1000], [20, 4, 12, 8, 56]])
+def test_frames_in_bursts_are_not_taken_for_lost(stamps: list[int]) -> None:
+    pace = pace_of(frames_at(np.cumsum(stamps * 4).tolist()))
+    assert pace.lost == 0
+    assert pace.rate_hz == pytest.approx(1000 / max(np.mean(stamps), 0.001), rel=0.1)
+
+
 def test_a_clock_that_wraps_continues() -> None:
     stamps = [CLOCK_MODULUS - 100 + STEP_MS * number for number in range(20)]
     assert clock_ms(frames_at(stamps)).tolist() == stamps
