@@ -11,7 +11,8 @@ from touchd.daemon.doctor.check import START_S, Check, Sample, listen
 from touchd.daemon.doctor.port import advice_for
 from touchd.daemon.doctor.values import MANY_SHARE
 from touchd.drivers.frame import MIN_RATE_HZ
-from touchd.drivers.pace import pace_of, relative_clock
+from touchd.drivers.pace import pace_of, relative_clock, steps_ms
+from touchd.drivers.pad.grid import MAX_GAP_MS
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.pad.port import Port, SensorError, at_baud, check_port, discard_input, open_port
 from touchd.drivers.search.listen import USUAL_BAUDS
@@ -92,10 +93,8 @@ def check_rate(sample: Sample) -> Check:
     if sample.ended_s - sample.frames[-1].host_s > STOPPED_S:
         return Check("rate", "to do", "the frames stopped during the check", "try another cable")
     pace = pace_of(sample.frames)
-    waits_ms = 1000 * np.diff([frame.host_s for frame in sample.frames])
-    found = (
-        f"{pace.rate_hz:.1f} frames/s, jitter {pace.jitter_ms:.1f} ms, longest wait {waits_ms.max():.0f} ms"
-    )
+    wait_ms = 1000 * np.diff([frame.host_s for frame in sample.frames]).max()
+    found = f"{pace.rate_hz:.1f} frames/s, jitter {pace.jitter_ms:.1f} ms, longest wait {wait_ms:.0f} ms"
     clock = relative_clock(sample.frames)
     if abs(clock - 1) > CLOCK_TOLERANCE:
         found += f"; its clock runs {clock:.2f} times as fast as this machine's"
@@ -107,4 +106,6 @@ def check_rate(sample: Sample) -> Check:
         return Check("rate", "warning", f"{found}; {better}", SCAN_FASTER)
     if pace.lost > CLEAN_SHARE * len(sample.frames):
         return Check("rate", "warning", f"{found}; {pace.lost} frames lost on the way")
+    if (gap_ms := steps_ms(sample.frames).max()) > MAX_GAP_MS:
+        return Check("rate", "warning", f"{found}; gaps of up to {gap_ms} ms end touches", SEND_A_CLOCK)
     return Check("rate", "ok", found)

@@ -113,6 +113,13 @@ def test_lost_frames_are_counted() -> None:
     assert check.verdict == "warning"
 
 
+def test_bursts_that_end_touches_are_reported() -> None:
+    frames = [Frame(1000 * (i // 54), i // 54, np.zeros((8, 8), np.uint16)) for i in range(400)]
+    check = check_rate(Sample(tuple(frames), 0, b"", frames[-1].host_s))
+    assert check.verdict == "warning"
+    assert "gaps of up to 1000 ms" in check.found
+
+
 @pytest.mark.parametrize(
     ("step_ms", "step_s", "late_s", "verdict", "found"),
     [
