@@ -21,9 +21,9 @@ Scans = NDArray[np.float32]
 # A frame of a touch shows a hand if the counts above rest and taxel noise sum up to this. Other frames of a
 # touch have no weight in the loss.
 VISIBLE_COUNTS, TAXEL_NOISE_COUNTS = 10.0, 2.5
-# Nor have the frames this close to the beginning or end of a touch.
+# Frames this close to the beginning or end of a touch have no weight either.
 BESIDE_FRAMES = 2
-# Nor have the frames in which an arriving or leaving hand has less than this share of its load.
+# Nor do frames in which an arriving or leaving hand has less than this share of its load.
 SEEN_SHARE = 0.15
 # Share of the touches that are hugs, which no study has recorded; share of the pieces without a touch.
 HUGS, IDLE = 0.2, 0.1

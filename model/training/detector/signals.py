@@ -12,7 +12,7 @@ from touchd.model.detector import LEAST_NOISE_COUNTS, STEP_DEVIATIONS
 REST_S, NOISE_S = 2.0, 5.0
 # If counts fall below rest by this many deviations, rest was measured under a hand, and follows fast.
 SUNKEN_DEVIATIONS, SUNKEN_S = 8.0, 0.25
-# Time constant of a taxel's recent level, from which a still load does not differ.
+# Time constant of a taxel's recent level, which becomes that of a load that keeps still.
 LATELY_S = 0.7
 # Half of the pad's highest load is forgotten in 13 s.
 PEAK_KEPT = 0.999

@@ -49,7 +49,7 @@ class DetectorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class DetectorRecipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The detectors to train. folds: the people whom one of them never sees."""
+    """The detectors to train. folds: for each further detector, the people held out."""
 
     name: str
     seed: int
