@@ -219,9 +219,9 @@ class TouchSink(QueuedSink[EndedTouch]):
     come from any thread, also before their touch has ended.
     """
 
-    capacity = 8
-
     def __init__(self, stores: Mapping[str, TouchStore]) -> None:
+        # The touches of all pads may end together.
+        self.capacity = 8 * len(stores)
         super().__init__("touches")
         self._stores = stores
         self._pads: defaultdict[str, _PadFrames] = defaultdict(_PadFrames)

@@ -232,13 +232,23 @@ def test_a_hanging_disk_never_blocks_the_loop(
 ) -> None:
     goes_on, add = threading.Event(), store.add
     monkeypatch.setattr(store, "add", lambda touch: (goes_on.wait(WITHIN_S), add(touch)))
-    many = TouchSink.capacity + 4
     with sinking(store) as sink:
+        many = sink.capacity + 4
         for number in range(many):
             put(sink, ended_touch(number))
         assert 3 <= sink.dropped <= 4
         goes_on.set()
     assert len(saved_touches(tmp_path / "touches")) == many - sink.dropped
+
+
+def test_touches_of_all_pads_may_end_together(tmp_path: Path) -> None:
+    sink = TouchSink({f"pad{number}": TouchStore(tmp_path / str(number), 1, "") for number in range(16)})
+    touch = ended_touch(1)
+    for number in range(16):
+        sink.put_frame(touch.frames[0], f"pad{number}")
+        sink.put(msgspec.structs.replace(touch.began, pad=f"pad{number}"))
+        sink.put(msgspec.structs.replace(touch.ended, pad=f"pad{number}"))
+    assert sink.dropped == 0
 
 
 FILL_A_SMALL_DISK = """
