@@ -17,7 +17,6 @@ from touchd.drivers.errors import within
 VERDICT_WIDTH, NAME_WIDTH = 11, 11
 ADVICE_AT = VERDICT_WIDTH + NAME_WIDTH + 2
 STYLES: dict[Verdict, str] = {"ok": "green", "warning": "yellow", "to do": "bold red", "not checked": "dim"}
-LISTEN_S = 8.0
 DESCRIPTION = (
     "Checks the pad, the model and the robot, and says what to do. Leave the "
     "pad alone until it asks for a hand, which it does in a terminal. Exit code 0: nothing to do; "
@@ -28,12 +27,8 @@ DESCRIPTION = (
 def add_options(parser: argparse.ArgumentParser) -> None:
     add_settings(parser)
     add_grid(parser)
-    parser.add_argument(
-        "--seconds",
-        type=within(float, 1.0, 600.0),
-        default=LISTEN_S,
-        help="how long to listen to the pad (%(default)g)",
-    )
+    listens = "how long to listen to the pad (%(default)g)"
+    parser.add_argument("--seconds", type=within(float, 1.0, 600.0), default=8.0, help=listens)
 
 
 def main(options: argparse.Namespace) -> int:

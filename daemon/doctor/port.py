@@ -71,7 +71,7 @@ def advice_for(port: str, error: SensorError) -> str:
             "it was unplugged: plug it in; a container sees it again if it has the host's /dev "
             "(-v /dev:/dev) and sensor.port is its name in /dev/serial/by-id"
         )
-    advice = "plug the pad in, or name its port in sensor.port or with --port"
+    advice = "plug the pad in, or name its port in sensor.port or with --port (touchd init finds it)"
     if other_ports(port):
         return advice
     return f"{advice}; this machine has no other USB serial port; on Ubuntu 22.04: sudo apt remove brltty"

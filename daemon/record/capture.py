@@ -16,7 +16,7 @@ from touchd.drivers.frame import CLOCK_MODULUS, FRAME_RATE_HZ, MIN_RATE_HZ, NO_T
 from touchd.drivers.pace import clock_ms, pace_of
 from touchd.drivers.pad.grid import Ring
 from touchd.drivers.pad.parser import FrameParser
-from touchd.drivers.pad.port import check_port
+from touchd.drivers.pad.port import SensorError, check_port
 from touchd.drivers.pad.sensor import FrameQueue, Sensor
 from touchd.drivers.recording import Recording
 from touchd.model.classifier import Classifier
@@ -78,7 +78,10 @@ class PadReader:
         self._away = ""
 
     def __enter__(self) -> "PadReader":
-        check_port(self.settings.sensor.port, self.settings.sensor.baud)
+        try:
+            check_port(self.settings.sensor.port, self.settings.sensor.baud)
+        except SensorError as error:
+            raise SensorError(error.kind, f"{error}; touchd doctor says more") from error
         # Log lines would break the progress bar; the dialogue shows the sensor's faults itself.
         logging.getLogger("touchd.drivers").addHandler(logging.NullHandler())
         self._sensor.start()

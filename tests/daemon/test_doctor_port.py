@@ -108,7 +108,7 @@ ACM9, PAD = "/dev/ttyACM9", "tcp://pad:4000"
     ("port", "kind", "number", "advice"),
     [
         (ACM9, "busy", errno.EBUSY, "end the other program (fuser /dev/ttyACM9 shows which)"),
-        (ACM9, "missing", errno.ENOENT, "plug the pad in, or name its port in sensor.port or with --port;"),
+        (ACM9, "missing", errno.ENOENT, "its port in sensor.port or with --port (touchd init finds it);"),
         (PAD, "missing", errno.ECONNREFUSED, "is the pad's board switched on, in this network, and no other"),
         ("udp://0.0.0.0:4000", "busy", errno.EADDRINUSE, "end the other program (sudo ss -lunp names it)"),
         (ACM9, "missing", errno.ENXIO, "a container sees it again if it has the host's /dev (-v /dev"),

@@ -54,7 +54,7 @@ def test_a_missing_port_is_reported_before_a_question(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(["record", str(tmp_path), "--port", "/dev/ttyNowhere"]) == 2
-    assert "/dev/ttyNowhere is not there" in capsys.readouterr().err
+    assert "/dev/ttyNowhere is not there; touchd doctor says more" in capsys.readouterr().err
 
 
 def test_the_setting_alone_decides_the_order(tmp_path: Path) -> None:
