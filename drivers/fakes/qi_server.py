@@ -16,7 +16,7 @@ SIGNATURES = {str: "s", int: "i", float: "f", bool: "b", None: "v"}
 META_OBJECT = "({I(Issss[(ss)]s)}{I(Iss)}{I(Iss)}s)"
 SERVICE_INFO = "(sIsI[s]ss)"
 MACHINE = "touchd-fake-robot"
-# qi's clients want to be told when a service comes or goes, which none does here.
+# qi's clients subscribe to services that come and go, which none does here.
 SIGNALS = {106: (106, "serviceAdded", "(Is)"), 107: (107, "serviceRemoved", "(Is)")}
 
 
@@ -62,7 +62,7 @@ class QiServer:
                 threading.Thread(target=self._serve, args=(client,), daemon=True).start()
 
     def _serve(self, client: socket.socket) -> None:
-        """Answer one client's calls, one after the other, until it leaves or sends what is no message."""
+        """Answer one client's calls, one after the other, until it leaves or sends no valid message."""
         with client, suppress(OSError, struct.error):
             client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             while header := client.recv(wire.HEADER.size, socket.MSG_WAITALL):

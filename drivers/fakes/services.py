@@ -10,7 +10,7 @@ import msgspec
 class Call(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """One call to the robot. refused: why it failed, empty if it succeeded.
 
-    time_s: seconds since 1970, at the robot. arguments: as the robot keeps them, after coercion.
+    time_s: seconds since 1970, at the robot. arguments: as the robot stores them, after coercion.
     """
 
     service: str
@@ -20,8 +20,8 @@ class Call(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     refused: str = ""
 
 
-def as_kept(value: object) -> object:
-    """Return a value as ALMemory keeps it, numbers in four bytes; raises ValueError if it does not fit."""
+def as_stored(value: object) -> object:
+    """Return a value as ALMemory stores it, numbers in four bytes; raises ValueError if it does not fit."""
     if isinstance(value, bool | str):
         return value
     if isinstance(value, int | float):
@@ -31,7 +31,7 @@ def as_kept(value: object) -> object:
         except (struct.error, OverflowError) as error:
             raise ValueError(f"{value} does not fit in 4 bytes") from error
     if isinstance(value, Sequence):
-        return [as_kept(part) for part in value]
+        return [as_stored(part) for part in value]
     raise ValueError(f"ALMemory holds no {type(value).__name__}")
 
 
@@ -62,7 +62,7 @@ class ALMemory(_Service):
         """Store a value; nobody subscribes to it here."""
         refused = ""
         try:
-            self._data[key] = value = as_kept(value)
+            self._data[key] = value = as_stored(value)
         except ValueError as error:
             refused = str(error)
         self._note("raiseEvent", key, value, refused=refused)
