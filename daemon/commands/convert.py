@@ -13,7 +13,7 @@ import msgspec
 from rich.console import Console
 
 from touchd.daemon.path.events import Event
-from touchd.daemon.sinks.journal import JournalError
+from touchd.daemon.sinks.journal import JournalError, journal_files
 from touchd.daemon.sinks.touches import read_events
 from touchd.drivers.errors import TouchdError, os_errors_as
 from touchd.drivers.recording import SUFFIXES, read_recordings
@@ -28,9 +28,7 @@ class ConvertError(TouchdError):
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", type=Path, metavar="FILE", help="a journal, or a recording (.csv, .csv.gz)")
-    parser.add_argument(
-        "-o", "--out", type=Path, required=True, metavar="OUT", help="a new .csv or .mcap file"
-    )
+    parser.add_argument("-o", "--out", type=Path, required=True, help="a new .csv or .mcap file")
 
 
 def main(options: argparse.Namespace) -> int:
@@ -63,8 +61,11 @@ def main(options: argparse.Namespace) -> int:
 
 
 def _events_in(file: Path) -> Sequence[Event]:
-    """Return a journal's events; raises JournalError if there are none."""
+    """Return the events of a journal and its older files, oldest first; raises JournalError without any."""
     events, wrong = read_events(file)
+    for older in filter(Path.exists, journal_files(file)[1:]):
+        found, errors = read_events(older)
+        events, wrong = found + events, errors + wrong
     if not events:
         raise JournalError(f"{file}, line 1: {wrong[0]}" if wrong else f"{file}: no events in it")
     if wrong:
