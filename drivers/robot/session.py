@@ -92,7 +92,7 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         if self.token_file is not None and "/" not in self.token_file:
             raise ValueError("token_file is not a full path; write the token into a file and give its path")
         if self.user is not None and self.token_file is None:
-            raise ValueError("user lacks its token; write that into a file and set token_file to its path")
+            raise ValueError("user lacks its token; set token_file to a file with it, or leave user out")
         if self.address[0] != "tcps" and (self.token_file or self.certificate):
             raise ValueError(f"url {self.url}: what is sent there is not encrypted; use tcps://")
         if self.client == "qi" and self.pinned:

@@ -213,7 +213,7 @@ TOKEN = {"user": "nao", "token_file": "/dev/null"}
         ({"url": "tcp://nao:s3cret@nao:9559"}, rf"tcp://\*\*\*@nao:9559' {NO_ADDRESS}"),
         *(({"url": NAO, "prefix": prefix}, "must be one word") for prefix in ("ALTouch", "a/b", "")),
         ({"url": NAO, "user": "nao", "token_file": "s3cret"}, "token_file is not a full path"),
-        ({"url": NAO, "user": "nao"}, r"user lacks its token; .* set token_file"),
+        ({"url": NAO, "user": "nao"}, "user lacks its token; set token_file"),
         ({"url": "tcp://nao:9559", **TOKEN}, "not encrypted; use tcps://"),
         ({"url": "tcp://nao:9559", "certificate": PIN}, "not encrypted; use tcps://"),
         ({"url": NAO, "certificate": PIN, "client": "qi"}, "qi accepts any certificate"),
