@@ -1,17 +1,17 @@
-"""When a touch begins and ends.
+"""Detects when a touch begins and ends.
 
-A small network, the detector, says of each frame how likely it is that a hand is on the pad. The tracker is
+A small network, the detector, gives for each frame the probability that a hand is on the pad. The tracker is
 in one of three states:
 
 measuring rest: half a second of frames without a gap shows the untouched pad; then quiet.
-quiet: rest and noise follow the pad. Some frames in which the detector is sure of a hand begin a touch. If a
-    hand is only likely, or has left, the classifier is asked, after 0.1 s and after 0.2 s.
-touched: rest and noise stay. The touch ends after `quiet_s` without a hand. A hand may also have left a load
-    that looks like one: if for `quiet_s` a hand is only likely, or the load is low beside what it was, the
-    classifier is asked. What the pad then reads is its new rest.
+quiet: rest and noise follow the pad. A touch begins after some frames in which the detector is sure of a
+    hand. If one is only likely, the classifier has to confirm it after 0.1 or 0.2 s, even if it has left.
+touched: rest and noise stay unchanged. The touch ends after `quiet_s` without a hand. But a hand may leave
+    behind a load that looks like a hand. So if for `quiet_s` the detector is unsure, or the load is low next
+    to its maximum, the classifier decides whether the hand has left. If so, the load becomes rest.
 
 A gap in the frames ends a touch. After a long gap, or with another sensor, rest is measured again. A load
-that keeps still for ten seconds becomes rest.
+that keeps still for ten seconds also becomes part of the rest.
 """
 
 import math
@@ -46,22 +46,22 @@ TAXELS = ROWS * COLUMNS
 SECOND_FRAMES = 2 * REST_FRAMES
 # After a longer gap, rest is measured again: it may be another pad.
 CHANGED_AFTER_MS = 2000.0
-# The load is what the mean of some frames has above rest and some standard deviations of noise, summed over
-# the pad.
+# The load is the sum over the pad of the counts above rest, averaged over some frames, less these standard
+# deviations of noise.
 SMOOTH_FRAMES, NOISE_DEVIATIONS = 3, 2.0
-# A taxel is still if its mean of half a second differs from that before by at most as many counts, or as
-# large a share of its load: a jacket laid on the pad settles so, a resting hand does not.
+# A taxel keeps still if its means over two successive half seconds differ by at most this many counts, or
+# this share of its load. A jacket laid on the pad settles like that; a resting hand does not.
 STILL_COUNTS, STILL_SHARE = 1.0, 0.03
 SETTLED_FRAMES = round(10 * FRAME_RATE_HZ)
 LONGEST_FRAMES = round(600 * FRAME_RATE_HZ)
-# Ask the classifier this many frames after a hand became likely, even if the hand has left: a blow is short.
-# A touch begins if the classifier's probability of a hand is higher than the value here; the earlier, the
-# higher it must be. Otherwise a rest that steps by hundreds of counts begins touches on the robot. At the end
-# of a touch, a hand is still there if this probability is above STILL_HAND.
+# The classifier is asked this many frames after a hand became likely, even if the hand has left: a blow is
+# short. A touch begins if its probability of a hand exceeds the value here. It must be higher after fewer
+# frames, or a rest that steps by hundreds of counts begins touches, as on the robot. When a touch may be
+# over, the hand is still there if this probability exceeds STILL_HAND.
 ASKED: Mapping[int, float] = MappingProxyType({6: 0.92, 11: LIKELY})
 STILL_HAND = 0.5
-# What is below the first share of a touch's highest load, and does not rise by the second, may be what the
-# hand left: a fold, a material that creeps.
+# A hand may have left a load behind (a fold, a material that creeps) if it is below LEFT_SHARE of the touch's
+# highest load and does not rise by RISE_SHARE of that.
 LEFT_SHARE, RISE_SHARE = 0.5, 0.15
 # From which probability on a hand is likely.
 SENSITIVITIES: dict[Sensitivity, float] = {"low": 0.85, "normal": LIKELY, "high": 0.5}
@@ -74,7 +74,7 @@ Question: TypeAlias = Callable[[NDArray[np.float32], Taxels], float]
 class TouchSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """When a touch begins and ends.
 
-    sensitivity: high finds lighter touches, and more that are none; docs/sessions.md has the figures.
+    sensitivity: high finds lighter touches, and more false ones; docs/sessions.md has the figures.
     quiet_s: seconds of quiet that end a touch; longer than the lift-off between two strokes.
     """
 
@@ -84,7 +84,7 @@ class TouchSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
 @dataclass(frozen=True, slots=True)
 class Onset:
-    """A touch was detected; first_index is the grid frame at which it truly began."""
+    """A touch was detected; first_index is the grid frame at which it began, which is earlier."""
 
     first_index: int
 
@@ -103,7 +103,7 @@ Change: TypeAlias = Onset | Release | None
 
 @dataclass(slots=True)
 class MeasuringRest:
-    """Rest is not known yet; frames: how many in a row there are."""
+    """Rest is not known yet. frames: so far without a gap."""
 
     frames: int = 0
 
@@ -112,8 +112,8 @@ class MeasuringRest:
 class Quiet:
     """No hand is on the pad.
 
-    since: the first frame. empty: the last frame in which no hand could be. sure: for how many frames the
-    detector has been sure of a hand. likely: how many frames there are since it first called one likely.
+    since: the first frame. empty: the last frame that shows no sign of a hand. sure: the number of frames for
+    which the detector has been sure of a hand. likely: the number of frames since a hand first was likely.
     """
 
     since: int
@@ -126,10 +126,10 @@ class Quiet:
 class Touched:
     """An ongoing touch.
 
-    first, last: the first frame, and the last with a hand. held: the last in which what the pad reads is
-    surely a hand's. highest: the highest load. lowest: the least since `held`. is_low: whether the load is
-    low beside the highest. still_frames: for how long the load has kept still. level: (64,), the mean of the
-    half second that was checked last.
+    first, last: the first frame, and the last with a hand. held: the last frame in which a hand surely causes
+    the load. highest: the highest load. lowest: the lowest since `held`. is_low: whether the load is low
+    compared with the highest. still_frames: for how long the load has kept still. level: (64,), the mean of
+    the half second before the last check.
     """
 
     first: int
@@ -146,7 +146,7 @@ class TouchTracker:
     """Takes the pad's frames one by one and returns where touches begin and end.
 
     p_no_touch: asks the classifier; None if it does not know "notouch". is_finer: whether the pad has more
-    taxels than 8x8; the classifier has learnt from no such pad, and takes what a hand leaves there for one.
+    cells than 8x8. The classifier was not trained on such pads: there it takes what a hand leaves for a hand.
     """
 
     def __init__(
@@ -167,7 +167,7 @@ class TouchTracker:
 
     @property
     def rest(self) -> Taxels:
-        """What each of the 64 taxels reads untouched, in counts; it stays during a touch."""
+        """What each of the 64 taxels reads untouched, in counts; unchanged during a touch."""
         return np.asarray(self._known["levels"][0, 0])
 
     @property
@@ -206,7 +206,7 @@ class TouchTracker:
         return release or self._watch(state, probability)
 
     def forget(self, reason: EndReason) -> Release | None:
-        """End the touch, if one goes on, and measure rest again: it may be another pad."""
+        """End the current touch, if any, and measure rest again: it may be another pad."""
         release = self._end(self._state, reason) if isinstance(self._state, Touched) else None
         self._state = MeasuringRest()
         return release
@@ -214,7 +214,7 @@ class TouchTracker:
     def _restart(self, frame: GridFrame, counts: Taxels) -> Release | None:
         """End the touch at a gap in the frames; measure rest again after a long one.
 
-        The next touch begins after the gap, so that no touch's frames span it.
+        The next touch begins after the gap, so that no touch contains it.
         """
         release = None
         if isinstance(self._state, Touched):
@@ -231,7 +231,7 @@ class TouchTracker:
     def _watch(self, quiet: Quiet, probability: float) -> Onset | None:
         quiet.sure = quiet.sure + 1 if probability > BEGINS else 0
         is_likely = probability > self._likely
-        # A hand that has left stays likely only for a classifier that can be asked.
+        # Once a hand was likely, count on until the classifier is asked, even if the hand leaves.
         stays = quiet.likely > 0 and self._p_no_touch is not None
         quiet.likely = quiet.likely + 1 if is_likely or stays else 0
         if probability <= GOES_ON and not quiet.likely:
@@ -248,7 +248,7 @@ class TouchTracker:
         return Onset(first)
 
     def _is_confirmed(self, frames: int) -> bool:
-        """Whether the classifier finds a hand, if it is asked this many frames after one became likely."""
+        """Whether the classifier, if it is asked after this many frames, confirms a likely hand."""
         return frames in ASKED and self._p_hand(frames) > ASKED[frames]
 
     def _hold(self, touch: Touched, probability: float) -> Release | None:
@@ -269,7 +269,7 @@ class TouchTracker:
         return self._end(touch, "longest") if self._index - touch.first >= LONGEST_FRAMES else None
 
     def _is_held(self, touch: Touched, probability: float) -> bool:
-        """Whether a hand surely makes what the pad reads, rather than having left it behind."""
+        """Whether a hand surely causes the load, rather than having left it behind."""
         above = self._recent[-SMOOTH_FRAMES:].mean(axis=0) - self.rest - NOISE_DEVIATIONS * self.noise
         load = float(np.maximum(above, 0.0).sum())
         touch.highest, touch.lowest = max(touch.highest, load), min(touch.lowest, load)
@@ -278,7 +278,7 @@ class TouchTracker:
         return (is_rising or not touch.is_low) and (self._is_finer or probability > LIKELY)
 
     def _is_left(self, touch: Touched) -> bool:
-        """Whether a hand that is not held has left: at once if what the pad reads is low and keeps still."""
+        """Whether the hand has left the load behind; without asking, if the load is low and keeps still."""
         if touch.is_low and (self._is_finer or self._is_still()):
             return True
         return not self._is_finer and self._p_hand(self._quiet_frames) <= STILL_HAND
@@ -293,14 +293,14 @@ class TouchTracker:
         return bool((np.abs(now - before) <= allowed).all())
 
     def _p_hand(self, frames: int) -> float:
-        """Ask the classifier how likely a hand is in the last frames, at most a second of them."""
+        """Return the classifier's probability of a hand in the last frames, at most a second of them."""
         if self._p_no_touch is None:
             return 1.0
         asked = self._recent[-min(frames, SECOND_FRAMES) :].reshape(-1, ROWS, COLUMNS)
         return 1.0 - self._p_no_touch(asked, self.rest)
 
     def _has_settled(self, touch: Touched) -> bool:
-        """Whether the load has kept still for ten seconds, looking every half second."""
+        """Whether the load has kept still for ten seconds, checked every half second."""
         if (self._index - touch.first) % REST_FRAMES:
             return False
         level = self._recent[-REST_FRAMES:].mean(axis=0)
@@ -315,6 +315,6 @@ class TouchTracker:
         return Release(touch.first, touch.last, reason)
 
     def _rest_now(self, *, forgets_hand: bool) -> None:
-        """Take what the pad reads now as its rest. forgets_hand: clear the detector's memory of a hand."""
+        """Take the present counts as rest. forgets_hand: whether to clear the detector's memory of a hand."""
         self._known = at_rest(self._known, self._recent[-REST_FRAMES:], forgets_hand=forgets_hand)
         self._state = Quiet(self._index, self._index)
