@@ -1,4 +1,4 @@
-"""Slow caresses, made for training: the recorded strokes end at 1 s, and people also stroke for up to 8 s."""
+"""Simulates slow caresses for training: recorded strokes last up to 1 s, but people also stroke for 8 s."""
 
 import math
 
@@ -10,7 +10,7 @@ from touchd.model.training.unknown import Floats, load, smooth, spot
 
 SLOWEST = 0.25
 MOST_FRAMES = round(8 * FRAME_RATE_HZ)
-# Of a made hand: palm and fingers, their places along and across it and their radius in taxels, their share.
+# Palm and fingers: the place along and across the hand, and the radius, in taxels; the share of the force.
 HAND = ((-1.2, 0.0, 2.0, 0.7), (1.2, -1.3, 1.0, 0.6), (1.2, -0.4, 1.0, 0.6), (1.2, 0.5, 1.0, 0.6))
 
 
@@ -18,7 +18,7 @@ def slowed(rng: Generator, stroke: Floats) -> Floats:
     """Return a recorded stroke (T, 8, 8) at 0.25 to 1 of its speed, whose hand sways and presses unevenly."""
     slower = math.exp(rng.uniform(math.log(SLOWEST), 0.0))
     frames = min(MOST_FRAMES, round(len(stroke) / slower))
-    # A hand does not move evenly either.
+    # Its speed varies too.
     pace = np.exp(0.25 * smooth(rng, frames, 1.0))
     places = np.cumsum(pace) - pace[0]
     places *= (len(stroke) - 1) / max(1.0, places[-1])
@@ -29,7 +29,7 @@ def slowed(rng: Generator, stroke: Floats) -> Floats:
 
 
 def made(rng: Generator) -> Floats:
-    """Return the counts (T, 8, 8) that a hand drawn one way over the pad in 0.8 to 8 s adds to the rest."""
+    """Return the counts (T, 8, 8) above rest of a simulated hand that strokes the pad once in 0.8 to 8 s."""
     frames = round(FRAME_RATE_HZ * math.exp(rng.uniform(math.log(0.8), math.log(8.0))))
     angle = rng.uniform(0.0, 2.0 * math.pi)
     pace = np.exp(0.3 * smooth(rng, frames, 1.0))
@@ -53,7 +53,7 @@ def made(rng: Generator) -> Floats:
 
 
 def _swayed(rng: Generator, counts: Floats) -> Floats:
-    """Return counts moved to and fro by up to half a taxel, as by a hand that sways."""
+    """Return counts that move to and fro by up to half a taxel, like a hand that sways."""
     for axis in (1, 2):
         sway = rng.uniform(0.0, 0.3) * smooth(rng, len(counts), 0.8)[:, None, None]
         share = np.abs(sway).clip(0.0, 0.6)

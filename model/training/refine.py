@@ -1,7 +1,7 @@
-"""Refines trained networks on a CPU: their encoder and dense layers learn, on windows that are drawn once.
+"""Refines trained networks on a CPU: trains their encoder and dense layers, on windows that are drawn once.
 
-The stem and the gated convolutions take most of a step's time, and know enough. So each drawn window passes
-through them once.
+The stem and the gated convolutions take most of a step's time and need no further training. So each window
+passes through them only once.
 """
 
 import copy
@@ -42,9 +42,9 @@ SOURCES = (
     "windows.py",
 )
 BATCH = 32
-# Windows mixed in a step.
+# Mixtures on which each step compares the network with the first one.
 MIXED = 32
-# Logit by which a new answer begins below the mean of the others.
+# The logit of a new label begins this far below the mean of the others.
 BEGINS_BELOW = 2.0
 
 
@@ -53,8 +53,8 @@ class Drawn:
     """Drawn windows as the upper layers see them.
 
     frames: (M, T, width) float16, what the gated convolutions return. lengths, weights: (M, K).
-    targets: (M, K, classes). possible: (M, classes). taught: (M,), 0 where the first network is to be
-    corrected.
+    targets: (M, K, classes). possible: (M, classes). taught: (M,), the weight of the first network's answers
+    in the targets; 0 where they are to be corrected.
     """
 
     frames: Tensor
@@ -76,7 +76,7 @@ class Drawn:
 
 
 def extended(first: Checkpoint, labels: Sequence[str]) -> TGC:
-    """Return a network with a row for each label; a new one begins below the mean of the others."""
+    """Return a network with a row for each label; that of a new label begins below the mean of the others."""
     old = first.build()
     network = TGC(first.settings.network, len(labels))
     weights = dict(first.network)
@@ -91,10 +91,10 @@ def extended(first: Checkpoint, labels: Sequence[str]) -> TGC:
 
 
 def refine(recordings: Sequence[Recording], job: Job, first: Checkpoint, runs: Path) -> Checkpoint:
-    """Train a job's network from the one it begins with, and save it in `runs`.
+    """Refine the network that a job begins from, and save the result in `runs`.
 
-    Some trainings' weights are averaged: those that begin from one network lie in one basin (Wortsman et al.,
-    "Model soups", ICML 2022).
+    The weights of several trainings are averaged: as all begin from one network, they end in one basin
+    (Wortsman et al., "Model soups", ICML 2022).
     recordings: known gestures, then those of the label `other`.
     """
     own = job.settings
@@ -140,7 +140,7 @@ def draw(sampler: TouchSampler, network: TGC, own: TrainSettings) -> Drawn:
 
 
 def _taught(network: TGC, frames: Tensor, touches: Touches) -> Tensor:
-    """Return the targets, those of known gestures in part as the network itself answers."""
+    """Return the targets, blended with the network's own answers where the gesture is known."""
     logits = network.answers(network.encoder(frames), touches.lengths)
     is_other = torch.zeros(logits.shape[-1], dtype=torch.bool)
     is_other[-1] = True
@@ -184,9 +184,9 @@ def _learn(network: TGC, drawn: Drawn, own: TrainSettings) -> dict[str, Tensor]:
 
 
 def kept(learnt: Sequence[dict[str, Tensor]], begun: TGC, share: float, known: int) -> dict[str, Tensor]:
-    """Return the mean of learnt weights, mixed with those begun from but for the rows of new labels.
+    """Return the mean of the trained weights, blended with the initial ones except in the rows of new labels.
 
-    share: of the weights begun from. known: how many labels these had, the first ones.
+    share: of the initial weights. known: the number of labels that are not new; they come first.
     """
     first = begun.state_dict()
     last = f"dense.{len(begun.dense) - 1}."
@@ -209,10 +209,10 @@ def _loss(network: TGC, batch: Drawn, smoothing: float) -> Tensor:
 
 
 def _change(network: TGC, first: TGC, drawn: Drawn, places: Tensor) -> Tensor:
-    """Return how far the network's answers about the known gestures are from the first one's, in nats.
+    """Return the divergence of the network's answers about known gestures from the first network's, in nats.
 
-    It is asked about mixtures of two windows each: about the windows alone, both soon agree, yet differ on
-    people who are not among them ("a good teacher is patient and consistent", Beyer et al., CVPR 2022).
+    It is measured on mixtures of two windows. On the windows themselves, the two soon agree, yet they differ
+    on other people ("a good teacher is patient and consistent", Beyer et al., CVPR 2022).
     """
     one, other = (drawn.of(places[torch.randint(len(places), (MIXED,))]) for _ in range(2))
     frames = torch.lerp(one.frames, other.frames, torch.rand(MIXED, 1, 1))
@@ -224,5 +224,5 @@ def _change(network: TGC, first: TGC, drawn: Drawn, places: Tensor) -> Tensor:
 
 
 def as_other(recordings: Sequence[Recording]) -> list[Recording]:
-    """Return recordings under the label of a touch that is none of the gestures."""
+    """Return the recordings labelled as `other`."""
     return [replace(recording, gesture=OTHER) for recording in recordings]

@@ -1,8 +1,8 @@
-"""The windows that a network is refined on: gestures, slow caresses, changes, and touches that are neither.
+"""Draws the windows to refine a network on: gestures, slow caresses, hands that change, unknown touches.
 
-Known and unknown touches come from every kind of pad, with the same augmentation, so that the pad does not
-give away the answer: fabric is also softened and pooled, the third study's pad also sharpened and scaled to
-fabric's range.
+An unknown touch is none of the gestures. Known and unknown touches come from every kind of pad, with the
+same augmentation, so that the pad does not predict the answer: fabric is also softened and pooled, the third
+study's pad also sharpened and scaled to fabric's range.
 """
 
 from collections.abc import Sequence
@@ -26,13 +26,13 @@ from touchd.model.training.settings import Refinement, TrainSettings
 from touchd.model.training.studies import MISSING, study_of
 from touchd.model.training.windows import learns, shares_of
 
-# After a change, nothing is asked for this many frames: neither gesture is right.
+# For this many frames after a change, answers have no weight in the loss: neither gesture is right.
 TURNING_FRAMES = 24
 EARLIEST_CHANGE, LATEST_CHANGE = 20, 100
 FADE_FRAMES = 6
-# Answers to the first frames of an unknown touch count less, by this factor.
+# Weight in the loss of answers to the first frames of an unknown touch.
 SOON_FRAMES, SHORT_WEIGHT = 18, 0.3
-# The tracker dates a touch a few frames too early.
+# Rest before a touch: the tracker dates its beginning a few frames too early.
 MOST_LEAD_FRAMES = 4
 
 Window = tuple[NDArray[np.floating[Any]], int]
@@ -44,8 +44,8 @@ class Touches:
     """Drawn windows.
 
     counts: (B, T, 8, 8). lengths, weights: (B, K). targets: (B, K, classes). possible: (B, classes).
-    taught: (B,), the share of the network begun from in what is to be answered. unknown: (B,), the share of
-    a touch that is none of the gestures.
+    taught: (B,), the weight of the initial network's answers in the targets. unknown: (B,), the share of an
+    unknown touch.
     """
 
     counts: Tensor
@@ -114,7 +114,7 @@ class TouchSampler:
             self._make_unknown(batch, place, int(chosen[place]), still[place])
         for place in torch.nonzero(is_slow).flatten().tolist():
             self._make_slow(batch, place, int(chosen[place]), still[place])
-        # What a touch will be hardly shows in its first frames.
+        # The first frames hardly show what the touch will be.
         is_short = (batch.lengths < SOON_FRAMES) & is_unknown[:, None]
         batch.weights[is_short] *= SHORT_WEIGHT
         self._vary_hands(batch, ~is_unknown & ~is_slow & self.passing.touches[chosen], chosen, still)
@@ -142,7 +142,7 @@ class TouchSampler:
         return crop(self.frames, resting, T, as_it_is, self.rng)
 
     def _lay(self, batch: Touches, place: int, window: Window) -> None:
-        """Put a window into the batch. Nothing is asked about a touch that is long over."""
+        """Put a window into the batch; answers long after the touch have no weight in the loss."""
         counts, over = window
         batch.counts[place] = torch.from_numpy(counts.astype(np.float32))
         T = len(counts)
@@ -219,7 +219,7 @@ class TouchSampler:
         return counts[start : start + T].astype(np.float64)
 
     def _change(self, batch: Touches, place: int, recording: int) -> None:
-        """The hand makes another gesture first; the newest one counts once it has gone on for a while."""
+        """Precede a touch by another gesture; from TURNING_FRAMES after the change on, the later is right."""
         earlier = self._partner(recording)
         if earlier is None:
             return
@@ -237,7 +237,7 @@ class TouchSampler:
         batch.taught[place] = 0.0
 
     def _add_hand(self, batch: Touches, place: int, recording: int, still: Tensor) -> None:
-        """A second hand touches as well."""
+        """Add a second hand, which makes another gesture; both are half right."""
         other = self._partner(recording)
         if other is None:
             return
@@ -250,7 +250,7 @@ class TouchSampler:
         batch.taught[place] = 0.0
 
     def _on_pads(self, windows: Tensor, soft: Tensor, made_soft: Tensor) -> Tensor:
-        """Return the windows, many of them as another kind of pad would have read them."""
+        """Return the windows, many of them as another kind of pad would read them."""
         varied = self.own.augmentation
         fabric = as_quiet_pad(as_another_pad(windows, varied, self.rng), varied, self.rng)
         always = msgspec.structs.replace(varied, another_pad=1.0, coarse=1.0)
@@ -265,7 +265,7 @@ class TouchSampler:
         return torch.where(soft[:, None, None, None], sharp, fabric).clamp(0.0, MAX_COUNT)
 
     def _mix(self, batch: Touches, soft: Tensor) -> Touches:
-        """Blend some windows with others, on the scale that the network sees, as in `windows`."""
+        """Blend some windows with others on the network's logarithmic scale, as in `windows`."""
         B = len(soft)
         share = (0.5 * torch.rand(B) * (torch.rand(B) < self.own.augmentation.mix))[:, None]
         other = torch.randperm(B)
@@ -276,7 +276,7 @@ class TouchSampler:
         takes_part = share[:, 0] > 0
         is_soft = soft | (soft[other] & takes_part)
         unknown = torch.lerp(batch.unknown, batch.unknown[other], share[:, 0])
-        # An unknown touch is not a tickle, on any pad.
+        # The third study has no tickle. But of an unknown touch it is certain that it is none.
         masked = is_soft[:, None] & self.missing & (unknown == 0.0)[:, None]
         possible = ~masked | (targets.amax(dim=1) > 0)
         taught = torch.where(takes_part, torch.minimum(batch.taught, batch.taught[other]), batch.taught)
@@ -286,7 +286,8 @@ class TouchSampler:
 def as_fabric(counts: Tensor) -> Tensor:
     """Return (B, T, 8, 8) of the third study's soft pad as a fabric would have read them: sharper, stronger.
 
-    Its creep is undone in part, by adding to a fall what a pole would have kept; its blur by unsharp masking.
+    Its creep is undone in part, by amplifying falls like the inverse of a low-pass filter; its blur by
+    unsharp masking.
     """
     B = len(counts)
     strength, kept, gain, power = torch.rand(4, B, 1, 1, 1)

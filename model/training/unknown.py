@@ -1,7 +1,7 @@
-"""Touches that are none of the gestures, made for training: blows, squeezes, objects, a sleeve.
+"""Simulates touches that are none of the gestures, for training: blows, squeezes, objects, a sleeve.
 
-Nobody has recorded such touches on the fabric pads. Each maker below is one way to touch, with its physics,
-random in every parameter. It returns what the touch adds to the pad's rest.
+Nobody has recorded such touches on the fabric pads. Each maker below simulates one kind of touch by its
+physics, with random parameters, and returns its counts above rest.
 """
 
 import math
@@ -18,17 +18,17 @@ from touchd.model.adapt.passing import WINDOW_FRAMES, InPassing
 
 Floats = NDArray[np.float64]
 Maker = Callable[[Generator, int], Floats]
-"""From a random generator and a number of frames to counts above rest (T, 8, 8), touched from the first."""
+"""Takes a random generator and a number of frames T; returns counts above rest (T, 8, 8) from the onset."""
 
 ROW, COLUMN = np.mgrid[0:ROWS, 0:COLUMNS].astype(np.float64)
-# A pad reads no two taxels alike: deviation of the log of a factor.
+# Taxels differ in sensitivity: the standard deviation of its logarithm.
 UNEVEN = 0.2
-# Rest after a made touch.
+# Rest after a simulated touch.
 AFTER_FRAMES = 60
 
 
 def spot(row: Floats, column: Floats, along: float, across: float, turned: Floats | float = 0.0) -> Floats:
-    """Return (T, 8, 8): a contact of height 1 at places (T,), with deviations in taxels along its axes."""
+    """Return (T, 8, 8): a Gaussian of height 1 at places (T,); along, across: its deviations in taxels."""
     angle = np.broadcast_to(np.asarray(turned, np.float64), row.shape)[:, None, None]
     down, over = ROW - row[:, None, None], COLUMN - column[:, None, None]
     first, second = down * np.sin(angle) + over * np.cos(angle), down * np.cos(angle) - over * np.sin(angle)
@@ -45,24 +45,24 @@ def smooth(rng: Generator, frames: int, fastest_hz: float) -> Floats:
 
 
 def press(frames: int, first: float, last: float, rise: float, fall: float) -> Floats:
-    """Return the force (T,) of a press between two frames: 0, up to 1, and 0 again."""
+    """Return the force (T,) of a press between two frames, which rises from 0 to 1 and falls to 0."""
     ticks = np.arange(frames)
     force: Floats = np.minimum((ticks - first + 1.0) / rise, (last - ticks) / fall).clip(0.0, 1.0)
     return force
 
 
 def seconds(rng: Generator, least: float, most: float) -> float:
-    """Return a duration in frames, short ones more often."""
+    """Return a random duration in frames, between seconds; its logarithm is uniform."""
     return float(np.exp(rng.uniform(math.log(least), math.log(most))) * FRAME_RATE_HZ)
 
 
 def load(rng: Generator, least: float, most: float) -> float:
-    """Return counts, light ones more often."""
+    """Return a random load in counts; its logarithm is uniform."""
     return float(np.exp(rng.uniform(math.log(least), math.log(most))))
 
 
 def presses(rng: Generator, frames: int, lasts: tuple[float, float], again: float) -> Floats:
-    """Return forces (T,) of one press, or with the probability `again` of several in a row."""
+    """Return the force (T,) of one press, or with probability `again` of several in a row."""
     force, begins = np.zeros(frames), 0.0
     for _ in range(rng.integers(2, 6) if rng.random() < again else 1):
         frames_down = seconds(rng, *lasts)
@@ -168,7 +168,7 @@ def twist(rng: Generator, frames: int) -> Floats:
 
 
 def knead(rng: Generator, frames: int) -> Floats:
-    """The balls of two hands, or a hand's fingers and ball, sink in by turns."""
+    """The heels of two hands, or the fingers and the heel of one, sink in by turns."""
     row, column = place(rng, 0.8)
     angle, pace = rng.uniform(0.0, math.pi), rng.uniform(0.4, 1.8)
     swing = np.sin(2.0 * math.pi * pace * np.arange(frames) / FRAME_RATE_HZ + 0.6 * smooth(rng, frames, 0.6))
@@ -202,7 +202,7 @@ def rolling(rng: Generator, frames: int) -> Floats:
 
 
 def lies_down(rng: Generator, frames: int) -> Floats:
-    """A thing with straight edges is put or falls onto the pad, and lies there without a tremor."""
+    """An object with straight edges is put or falls onto the pad, and lies there without a tremor."""
     half = rng.uniform(0.8, 3.5, 2)
     row, column = place(rng)
     inside = (np.abs(ROW - row) < half[0]) & (np.abs(COLUMN - column) < half[1])
@@ -261,7 +261,7 @@ SHARES = np.array([*MAKERS.values()]) / sum(MAKERS.values())
 
 
 def make(rng: Generator, frames: int) -> Floats:
-    """Return what a touch of a random maker adds to the rest, (T, 8, 8) counts."""
+    """Return the counts above rest (T, 8, 8) of a touch by a random maker."""
     maker = [*MAKERS][rng.choice(len(SHARES), p=SHARES)]
     uneven = np.exp(UNEVEN * rng.normal(size=(ROWS, COLUMNS)))
     made: Floats = (maker(rng, frames) * uneven).clip(0.0, MAX_COUNT)
@@ -269,7 +269,7 @@ def make(rng: Generator, frames: int) -> Floats:
 
 
 def on_rest(rng: Generator, rest: Recording) -> InPassing:
-    """Return a made touch on a recording at rest, with rest around it."""
+    """Return a simulated touch on a recording at rest, with rest before and after it."""
     before, frames = 10, WINDOW_FRAMES
     touch = make(rng, frames)
     over = min(frames, last_frame(touch))
@@ -301,6 +301,6 @@ def shuffled(rng: Generator, counts: Floats) -> Floats:
 
 
 def last_frame(made: Floats) -> int:
-    """Return the frame after the last one in which a made touch presses, at least 1."""
+    """Return the frame after the last one in which a simulated touch presses, at least 1."""
     pressed = np.flatnonzero(made.max(axis=(1, 2)) > 0.02 * made.max())
     return int(pressed[-1]) + 1 if len(pressed) else 1
