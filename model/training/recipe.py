@@ -15,12 +15,6 @@ from touchd.drivers.errors import TouchdError
 from touchd.model.training.settings import Shares, Study, TrainSettings
 
 SHIPPED_RECIPE = Path(__file__).parent / "recipe.yaml"
-PASSING_RECIPE = Path(__file__).parent / "passing.yaml"
-"""Recipe of the networks that the shipped recipe's begin from; these begin from those of base.yaml."""
-HAART_RECIPE = Path(__file__).parent / "haart.yaml"
-"""Recipe of the network from HAART alone, for the comparison with the paper."""
-WIDE_RECIPE = Path(__file__).parent / "haart-wide.yaml"
-"""Recipe of the network from HAART alone with wide augmentation, for the figure across studies."""
 MAX_BYTES = 64 * 1024
 
 

@@ -29,7 +29,7 @@ pytest.importorskip("torch", reason="needs the extra train")
 
 from touchd.model.studies.__main__ import main
 from touchd.model.studies.checks.scores import Scores, read_scores, splits
-from touchd.model.training.recipe import HAART_RECIPE, WIDE_RECIPE, read_recipe
+from touchd.model.training.recipe import SHIPPED_RECIPE, read_recipe
 from touchd.model.training.weights import FABRIC_MODEL, HAART_MODEL, SCORES_NAME, WIDE_MODEL
 
 HAART_PEOPLE = ["P10", "P3", "P4", "P5", "P6", "P7", "P8"]
@@ -52,7 +52,8 @@ def test_the_scores_are_those_of_the_shipped_file(scores: Scores) -> None:
     assert scores.model_sha256 == hashlib.sha256(SHIPPED_MODEL.read_bytes()).hexdigest()
 
 
-SHIPPED, WIDE, ALONE = read_recipe(), read_recipe(WIDE_RECIPE), read_recipe(HAART_RECIPE)
+SHIPPED = read_recipe()
+WIDE, ALONE = (read_recipe(SHIPPED_RECIPE.with_name(name)) for name in ("haart-wide.yaml", "haart.yaml"))
 
 
 @pytest.mark.parametrize(
