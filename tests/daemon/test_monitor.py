@@ -33,7 +33,7 @@ def sound_pad(seconds: int) -> Counts:
     return MadePad(5).counts(nothing(seconds))
 
 
-def told_of(
+def reports_of(
     counts: Counts, clock_ms: Iterable[int] | None = None, untouched: Callable[[float], bool] = lambda _: True
 ) -> tuple[list[tuple[float, str]], list[SensorState]]:
     """Feed a monitor; return each log line with its second, and the changes of the pad's state."""
@@ -87,7 +87,7 @@ MANY = np.s_[:, [0, 2, 3, 5, 7], [1, 1, 6, 5, 0]]
 def test_a_broken_pad_and_its_repair_are_reported_once(
     where: Any, stuck_at: Any, what: str, degrades: bool
 ) -> None:
-    ((begun_s, begin), (ended_s, end)), states = told_of(broken(where, stuck_at, (5, 20)))
+    ((begun_s, begin), (ended_s, end)), states = reports_of(broken(where, stuck_at, (5, 20)))
     assert begin.startswith(what)
     assert end.startswith(f"no longer: {begin} (after ")
     assert 5 < begun_s < 18
@@ -130,25 +130,25 @@ def twitching() -> Counts:
     ids=["heavy hand", "silent", "rubbed", "0.1", "0.3", "bad contact"],
 )
 def test_what_a_sound_pad_reads_is_not_a_fault(counts: Counts) -> None:
-    assert told_of(counts) == ([], [])
+    assert reports_of(counts) == ([], [])
 
 
 def test_a_wrapping_and_restarting_clock_does_no_harm() -> None:
     clock_ms = [*ideal_clock_ms(540, 2**32 - 3000).tolist(), *ideal_clock_ms(540).tolist()]
-    assert told_of(sound_pad(20), clock_ms) == ([], [])
+    assert reports_of(sound_pad(20), clock_ms) == ([], [])
 
 
 def test_a_hand_does_not_show_which_taxels_stand_still() -> None:
     counts = np.zeros((20 * RATE_HZ, 8, 8), np.uint16)
     counts[: 5 * RATE_HZ] = sound_pad(5)
-    assert told_of(counts, untouched=lambda second: second >= 5) == ([], [])
+    assert reports_of(counts, untouched=lambda second: second >= 5) == ([], [])
 
 
 def test_a_slow_pads_broken_row_is_found_between_touches() -> None:
     counts = broken(ROW_7, 0, (10, 40))
     # Ten frames a second; a hand and what it leaves take four of every six seconds.
     clock_ms = [100 * number for number in range(len(counts))]
-    lines, _ = told_of(counts, clock_ms, lambda second: second % 6 < 2)
+    lines, _ = reports_of(counts, clock_ms, lambda second: second % 6 < 2)
     assert [line for _, line in lines] == [DEAD_ROW]
     assert lines[0][0] > 54
 
@@ -158,7 +158,7 @@ def test_ten_minutes_of_real_touches_have_no_finding(tmp_path: Path) -> None:
     path = recordings_of("testWITHLABELS.csv", "T9,", tmp_path)
     counts = splice([realign(recording) for recording in read_recordings(path)]).counts
     assert len(counts) > 10 * 60 * RATE_HZ
-    assert told_of(counts) == ([], [])
+    assert reports_of(counts) == ([], [])
 
 
 def states_of(monitor: PadMonitor, times_ms: Iterable[int], at_s: float = 0.0) -> list[SensorState]:

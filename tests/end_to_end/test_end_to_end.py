@@ -144,7 +144,7 @@ def _last_turn(events: list[Event]) -> list[dict[str, object]]:
 
 @pytest.mark.parametrize("path", pairs.paths(), ids=lambda path: path.name.partition(".")[0])
 def test_a_stream_gives_its_expected_events(path: Path, classifier: Classifier) -> None:
-    assert pairs.told_of(path, classifier) == expected(path)
+    assert pairs.output_of(path, classifier) == expected(path)
 
 
 def test_every_stream_has_its_expected_events() -> None:

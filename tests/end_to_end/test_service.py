@@ -389,7 +389,7 @@ def test_the_service_may_open_serial_ports_alone(driver: str, is_allowed: bool) 
     assert any(fnmatchcase(driver, pattern) for pattern in ALLOWED) is is_allowed
 
 
-def told_of(vendor: str, product: str) -> dict[str, str]:
+def properties_of(vendor: str, product: str) -> dict[str, str]:
     """Return what the rules assign to a tty of this USB board."""
     board, assigned = {"idVendor": vendor, "idProduct": product}, dict[str, str]()
     for line in (SYSTEMD / "99-touchd.rules").read_text().splitlines():
@@ -418,10 +418,10 @@ def told_of(vendor: str, product: str) -> dict[str, str]:
     ],
 )
 def test_modem_commands_are_kept_from_the_usual_boards(vendor: str, product: str, has_name: bool) -> None:
-    told = told_of(vendor, product)
-    assert told["ENV{ID_MM_DEVICE_IGNORE}"] == "1"
-    assert (told.get("SYMLINK") == "touchd-pad") is has_name
+    assigned = properties_of(vendor, product)
+    assert assigned["ENV{ID_MM_DEVICE_IGNORE}"] == "1"
+    assert (assigned.get("SYMLINK") == "touchd-pad") is has_name
 
 
 def test_a_modem_is_left_to_its_manager() -> None:
-    assert told_of("12d1", "1506") == {}
+    assert properties_of("12d1", "1506") == {}

@@ -1,4 +1,4 @@
-"""The streams and lines in tests/recordings, and what the daemon tells of each.
+"""The streams and lines in tests/recordings, and what the daemon emits for each.
 
 A stream (.csv.gz) holds frames, as `touchd record` writes them. A line (.line.gz) holds its title, the pad's
 format, and a row for the bytes that arrive together: the time in ms, and the bytes in hex.
@@ -36,11 +36,11 @@ from touchd.model.classifier import Classifier
 LINE_SUFFIX = ".line.gz"
 # The reader reports the pad as down after this much silence.
 SILENCE_S = 2.0
-# A step of the pad's clock beyond this is not time that passes.
+# The pad's clock has jumped if it steps by more than this; no time has passed.
 LONGEST_STEP_S = 60.0
 PERIOD_S = 0.0185
 
-Told = list[dict[str, object]]
+Output = list[dict[str, object]]
 
 
 def paths() -> list[Path]:
@@ -48,13 +48,13 @@ def paths() -> list[Path]:
     return sorted({*FOLDER.glob("*.csv.gz"), *FOLDER.glob(f"*{LINE_SUFFIX}")} - {*RECORDINGS})
 
 
-def told_of(path: Path, classifier: Classifier) -> Told:
-    """Return what the daemon tells: events, the pad's states, warnings, at a line's end what was refused."""
+def output_of(path: Path, classifier: Classifier) -> Output:
+    """Return events, the pad's states and warnings; at the end of a line, what the parser refused."""
     if not path.name.endswith(LINE_SUFFIX):
-        return Listener(classifier).hear_all(_arrivals(path))
+        return Player(classifier).play(_arrivals(path))
     _, described, *pieces = gzip.decompress(path.read_bytes()).decode().splitlines()
     parser = FrameParser(msgspec.json.decode(described.removeprefix("# format: "), type=PadFormat))
-    listener = Listener(classifier, parser)
+    player = Player(classifier, parser)
     for piece in pieces:
         at_ms, _, data = piece.partition(",")
         if data == "reopened":
@@ -62,10 +62,10 @@ def told_of(path: Path, classifier: Classifier) -> Told:
             continue
         at_s = int(at_ms) / 1000
         frames = parser.feed(bytes.fromhex(data), at_s)
-        listener.hear_all([(at_s, frame) for frame in frames], ends=False)
-    told = listener.hear_all(())
+        player.play([(at_s, frame) for frame in frames], ends=False)
+    output = player.play(())
     refused = {name: count for name, count in asdict(parser.counts).items() if count}
-    return [*told, {"type": "line", **refused}]
+    return [*output, {"type": "line", **refused}]
 
 
 def _arrivals(path: Path) -> Iterator[tuple[float, Frame]]:
@@ -79,46 +79,46 @@ def _arrivals(path: Path) -> Iterator[tuple[float, Frame]]:
         yield now_s, Frame(ms, now_s, counts)
 
 
-class Listener:
-    """A pipeline in the pad's own time; keeps what it tells. parser: of a line, for the monitor."""
+class Player:
+    """Runs a pipeline in the pad's own time and keeps its output. parser: of a line, for the monitor."""
 
     def __init__(self, classifier: Classifier, parser: FrameParser | None = None) -> None:
-        self.told: Told = []
+        self.output: Output = []
         self._now_s = 0.0
-        self._heard_s: float | None = None
+        self._last_s: float | None = None
         clock = Clock(monotonic_s=lambda: self._now_s)
         monitor = PadMonitor(parser=parser)
         self._pipeline = Pipeline(Settings().pipeline, classifier, self._put, clock, monitor=monitor)
 
-    def hear_all(self, arrivals: Iterable[tuple[float, Frame]], *, ends: bool = True) -> Told:
-        """Take frames as they arrive, and the end of the stream; return all that was told."""
+    def play(self, arrivals: Iterable[tuple[float, Frame]], *, ends: bool = True) -> Output:
+        """Process frames as they arrive; ends: and the end of the stream. Return all output so far."""
         handler = logging.Handler(logging.WARNING)
-        handler.emit = lambda record: self.told.append(  # type: ignore[method-assign]
+        handler.emit = lambda record: self.output.append(  # type: ignore[method-assign]
             {"type": "log", "line": record.getMessage()}
         )
         logging.getLogger("touchd").addHandler(handler)
         try:
             for now_s, frame in arrivals:
-                self._hear(now_s, frame)
+                self._take(now_s, frame)
             if ends:
                 self._pipeline.flush()
         finally:
             logging.getLogger("touchd").removeHandler(handler)
-        return self.told
+        return self.output
 
-    def _hear(self, now_s: float, frame: Frame) -> None:
+    def _take(self, now_s: float, frame: Frame) -> None:
         self._now_s = now_s
-        if self._heard_s is None or now_s - self._heard_s > SILENCE_S:
-            if self._heard_s is not None:
+        if self._last_s is None or now_s - self._last_s > SILENCE_S:
+            if self._last_s is not None:
                 self._pipeline.on_sensor_state(SensorState("down", "no data for 2 s", "silent"))
             self._pipeline.on_sensor_state(SensorState("up", "frames arrive"))
-        self._heard_s = now_s
+        self._last_s = now_s
         self._pipeline.on_frame(frame)
 
     def _put(self, event: Event) -> None:
         if isinstance(event, SensorEvent):
-            self.told.append({"type": "sensor", "state": event.state, "reason": event.reason})
-        self.told.extend(outline([event]))
+            self.output.append({"type": "sensor", "state": event.state, "reason": event.reason})
+        self.output.extend(outline([event]))
 
 
 def _frames(path: Path) -> Iterator[tuple[int, Counts]]:
@@ -137,9 +137,9 @@ def main(arguments: Sequence[str]) -> None:
             parser.error(f"{FOLDER / added.name}: is there already; rename {added}")
         shutil.copyfile(added, FOLDER / added.name)
     classifier = Classifier.load()
-    told = {path: outline(answers(stream_of(path), classifier)) for path in RECORDINGS}
-    told |= {path: told_of(path, classifier) for path in paths()}
-    for path, events in told.items():
+    emitted = {path: outline(answers(stream_of(path), classifier)) for path in RECORDINGS}
+    emitted |= {path: output_of(path, classifier) for path in paths()}
+    for path, events in emitted.items():
         expectation_of(path).write_text("".join(f"{json.dumps(event)}\n" for event in events))
 
 
