@@ -110,7 +110,7 @@ def check_robot(settings: Settings) -> Check:
     except (RobotLost, RobotRefused) as error:
         if shown and not wanted.token_file:
             login = f"set robot.token_file ({program_name()} docs install)"
-            found = f"{wanted.url} answers, and asks for a login"
+            found = f"{wanted.url} answers, and probably asks for a login ({error})"
             return Check("robot", "to do", found, f"{login}{pin and f'; {pin}'}")
         return Check("robot", "to do", f"{wanted.url}: {error}", f"ping it; {ADVICE}")
     return Check("robot", "ok", f"NAOqi {version} at {wanted.url}", pin)

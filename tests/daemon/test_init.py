@@ -173,7 +173,7 @@ def test_what_was_found_is_written(monkeypatch: pytest.MonkeyPatch, changed: dic
     ("login", "said"),
     [
         (None, "robot: NAOqi 2.8.7.4 at {}"),
-        (LOGIN, "robot: {} answers, and asks for a login; set robot.token_file"),
+        (LOGIN, "probably asks for a login (looking for ALSystem: disconnected); set robot.token_file"),
     ],
 )
 def test_a_robots_name_finds_its_protocol_and_port(
