@@ -24,7 +24,6 @@ from touchd.model.training.calibrate import IMPOSSIBLE
 from touchd.model.training.recipe import fold_jobs, read_recipe
 from touchd.model.training.ship import remember
 from touchd.model.training.studies import MISSING, Folders, study_of
-from touchd.model.training.train import CHECKPOINT_NAME
 from touchd.model.training.weights import fold_path
 
 SHOTS = (1, 2, 4)
@@ -144,21 +143,25 @@ def draw(recordings: Sequence[Recording], name: str, number: int) -> list[list[i
     ]
 
 
-def networks(folders: Folders, runs: Path) -> Iterator[tuple[tuple[str, ...], Pretrained]]:
+def networks(folders: Folders) -> Iterator[tuple[tuple[str, ...], Pretrained]]:
     """Yield the people of each fold, and the network that never saw them."""
     for job in fold_jobs(read_recipe()):
         left_out = job.settings.left_out
-        saved = checkpoint.load(runs / job.name / CHECKPOINT_NAME)
-        path = fold_path(SHIPPED_MODEL.parent, left_out)
-        yield left_out, Pretrained.of(path, saved.network, remember(saved, folders))
+        yield left_out, to_adapt(fold_path(SHIPPED_MODEL.parent, left_out), folders)
 
 
-def measure(folders: Folders, runs: Path, settings: AdaptSettings) -> Iterator[Trial]:
+def to_adapt(path: Path, folders: Folders) -> Pretrained:
+    """Return the network of a model file, to adapt, with the statistics that it is rehearsed with."""
+    saved = checkpoint.restored(path)
+    return Pretrained.of(path, saved.network, remember(saved, folders))
+
+
+def measure(folders: Folders, settings: AdaptSettings) -> Iterator[Trial]:
     """Yield the trials of everybody in the three studies."""
     takes = [*folders.to_train_on(("haart", "second")), *pieces(folders.to_train_on(("third",)))]
-    for left_out, pretrained in networks(folders, runs):
-        fold = PersonFold(pretrained, haart.only(takes, left_out))
-        rehearsed = pretrained.rehearsed(pretrained.labels, haart.GESTURES, settings.seed)
+    for left_out, network in networks(folders):
+        fold = PersonFold(network, haart.only(takes, left_out))
+        rehearsed = network.rehearsed(network.labels, haart.GESTURES, settings.seed)
         for name in fold.people:
             if name not in FEW:
                 yield from fold.trials(name, rehearsed, settings)
@@ -192,10 +195,10 @@ def _by_person(trials: Sequence[Trial], figure: Callable[[Trial], float]) -> Flo
 
 def main(arguments: Sequence[str]) -> int:
     """Measure everybody and fill the page; returns 0."""
-    options = study_parser("adapting", __doc__, *STUDIES, "docs", "runs").parse_args(arguments)
+    options = study_parser("adapting", __doc__, *STUDIES, "docs").parse_args(arguments)
     settings = AdaptSettings()
     with one_torch_thread():
-        measured = Measured(settings, tuple(measure(folders_of(options), options.runs, settings)))
+        measured = Measured(settings, tuple(measure(folders_of(options), settings)))
     keep(FILE, measured)
     fill(options.docs / "adapt.md", tables(measured))
     return 0

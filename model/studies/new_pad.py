@@ -7,7 +7,6 @@ but not the people.
 
 from collections.abc import Iterator, Sequence
 from itertools import groupby
-from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -18,16 +17,13 @@ from touchd.drivers.recording import Recording
 from touchd.model.adapt.adapt import Pretrained, logits
 from touchd.model.adapt.backbone import windows
 from touchd.model.adapt.head import AdaptSettings, fit, one_torch_thread, rebuilt
-from touchd.model.studies.adapting import networks
+from touchd.model.studies.adapting import networks, to_adapt
 from touchd.model.studies.folders import STUDIES, folders_of, study_parser
 from touchd.model.studies.marked import fill, percent, table
 from touchd.model.studies.results import STORED, keep
-from touchd.model.training import checkpoint, haart, metrics, third_study
+from touchd.model.training import haart, metrics, third_study
 from touchd.model.training.calibrate import IMPOSSIBLE
-from touchd.model.training.recipe import read_recipe, study_jobs
-from touchd.model.training.ship import remember
 from touchd.model.training.studies import MISSING, Folders
-from touchd.model.training.train import CHECKPOINT_NAME
 from touchd.model.training.weights import FABRIC_MODEL
 
 PEOPLE = (1, 3, 6, 9)
@@ -95,12 +91,9 @@ class Scored:
         return metrics.class_accuracies(answers.argmax(axis=1).astype(np.int64), truth, len(self.labels))
 
 
-def people_on_a_new_pad(
-    folders: Folders, runs: Path, settings: AdaptSettings
-) -> tuple[tuple[float, ...], list[Learnt]]:
+def people_on_a_new_pad(folders: Folders, settings: AdaptSettings) -> tuple[tuple[float, ...], list[Learnt]]:
     """Return the fabric network's accuracy on the new pad, unadapted and adapted to some of its people."""
-    saved = checkpoint.load(runs / study_jobs(read_recipe())[0].name / CHECKPOINT_NAME)
-    pretrained = Pretrained.of(FABRIC_MODEL, saved.network, remember(saved, folders))
+    pretrained = to_adapt(FABRIC_MODEL, folders)
     recordings = folders.to_train_on(("third",))
     labels = pretrained.labels
     scored = Scored(pretrained, recordings, labels)
@@ -123,11 +116,11 @@ def people_on_a_new_pad(
     return accuracies(pretrained.head, everybody), learnt
 
 
-def two_gestures_more(folders: Folders, runs: Path, settings: AdaptSettings) -> Iterator[Added]:
+def two_gestures_more(folders: Folders, settings: AdaptSettings) -> Iterator[Added]:
     """Yield each fold's figures after adding tap and poke, recorded by the people it was trained on."""
     third = third_study.read(folders.third_study, NEW)
     fabric = folders.to_train_on(("haart", "second"))
-    for left_out, pretrained in networks(folders, runs):
+    for left_out, pretrained in networks(folders):
         labels = tuple(sorted({*pretrained.labels, *NEW}))
         start = rebuilt(pretrained.head, pretrained.labels, labels)
         shown = pretrained.features(haart.without(third, left_out), settings)
@@ -184,11 +177,11 @@ def _mean(shares: NDArray[np.float64]) -> float:
 
 def main(arguments: Sequence[str]) -> int:
     """Measure and fill the page; returns 0."""
-    options = study_parser("new_pad", __doc__, *STUDIES, "docs", "runs").parse_args(arguments)
+    options = study_parser("new_pad", __doc__, *STUDIES, "docs").parse_args(arguments)
     settings, folders = AdaptSettings(), folders_of(options)
     with one_torch_thread():
-        untaught, learnt = people_on_a_new_pad(folders, options.runs, settings)
-        added = tuple(two_gestures_more(folders, options.runs, settings))
+        untaught, learnt = people_on_a_new_pad(folders, settings)
+        added = tuple(two_gestures_more(folders, settings))
     measured = Measured(settings, untaught, tuple(learnt), added)
     keep(FILE, measured)
     fill(options.docs / "adapt.md", tables(measured))
