@@ -38,11 +38,10 @@ class RobotRefused(Exception):  # noqa: N818 - as above
 class RobotLimits:
     """Every limit of the link to the robot.
 
-    connect_s: for a connection, or for finding a service. call_s: for any call on the event path.
-    action_s: for one action, whose call returns when it is over; a dance takes minutes.
-    stale_s: what has waited longer is dropped, since a late answer is worse than none.
-    heartbeat_s: how often an idle robot is called, as a hung one still looks connected.
-    capacity: most waiting messages, or reactions; the oldest is dropped.
+    connect_s: for a connection, or for finding a service. call_s: for any call on the event path. action_s:
+    for one action, whose call returns when it is over; a dance takes minutes. stale_s: what has waited longer
+    is dropped, since a late answer is worse than none. heartbeat_s: how often an idle robot is called, as a
+    hung one still looks connected. capacity: most waiting messages, or reactions; the oldest is dropped.
     """
 
     connect_s: float = 3.0
@@ -100,8 +99,7 @@ class RobotSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
     @property
     def pinned(self) -> str | None:
-        """The fingerprint that the robot must show, sha256HEX, None for any."""
-        # openssl writes capitals, and colons between the bytes.
+        """The fingerprint that the robot must show, sha256HEX without openssl's colons; None for any."""
         return None if self.certificate in (None, "any") else self.certificate.replace(":", "").lower()
 
     @property
