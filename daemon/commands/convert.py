@@ -63,7 +63,8 @@ def main(options: argparse.Namespace) -> int:
 def _events_in(file: Path) -> Sequence[Event]:
     """Return the events of a journal and its older files, oldest first; raises JournalError without any."""
     events, wrong = read_events(file)
-    for older in filter(Path.exists, journal_files(file)[1:]):
+    # The older files are beside a symlink's target.
+    for older in filter(Path.exists, journal_files(file.resolve())[1:]):
         found, errors = read_events(older)
         events, wrong = found + events, errors + wrong
     if not events:

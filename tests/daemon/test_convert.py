@@ -58,11 +58,14 @@ def test_a_journal_as_csv_has_a_row_an_event(journal: Path) -> None:
     assert [prediction[name] for name in ("probabilities_pat", "told", "pad")] == ["0.19", "True", "head"]
 
 
-def test_the_older_files_of_a_journal_come_first(journal: Path) -> None:
+def test_the_older_files_of_a_journal_come_first(journal: Path, tmp_path: Path) -> None:
     for number, touch in ((1, 6), (2, 5)):
         older = msgspec.structs.replace(EVENTS[0], touch=touch)
         journal.with_name(f"{journal.name}.{number}").write_bytes(encode(older) + b"\n")
-    assert [row["touch"] for row in rows(journal)] == ["5", "6", "1", "1"]
+    (tmp_path / "linked").mkdir()
+    (link := tmp_path / "linked" / "events.jsonl").symlink_to(journal)
+    for file in (journal, link):
+        assert [row["touch"] for row in rows(file)] == ["5", "6", "1", "1"]
 
 
 def test_journal_lines_that_are_not_events_are_skipped_and_counted(
