@@ -5,9 +5,11 @@ import logging
 import socket
 from collections.abc import Mapping
 from contextlib import suppress
+from functools import partial
 from typing import Any
 
 import msgspec
+from websockets.client import ClientProtocol
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
@@ -48,13 +50,12 @@ class RosbridgeBridge(Bridge):
         url, limit = self._settings.url, self.limit
         try:
             line = hosts.connect(*self._settings.address, CONNECT_S, self._ending)
-            with connect(url, sock=line, **CONNECTION) as connection:
-                _limit(connection, limit)
+            # From the first byte on: a server may send more together with its greeting.
+            limited: Any = partial(_limit, limit)
+            with connect(url, sock=line, create_connection=limited, **CONNECTION) as connection:
                 self._connection = connection
                 for name, kind in TOPICS.items():
-                    topic = f"{self._prefix}/{name}"
-                    advertised = {"op": "advertise", "id": self._id, "topic": topic, "type": kind}
-                    connection.send(msgspec.json.encode(advertised).decode())
+                    self._send(connection, "advertise", name, id=self._id, type=kind)
                 self.connected()
                 for message in connection:
                     self._read_status(message)
@@ -71,8 +72,8 @@ class RosbridgeBridge(Bridge):
             return False
         try:
             if isinstance(event, Prediction) and event.told:
-                self._publish(connection, "gesture", {"data": event.gesture})
-            self._publish(connection, "event", {"data": encode(event).decode()})
+                self._send(connection, "publish", "gesture", msg={"data": event.gesture})
+            self._send(connection, "publish", "event", msg={"data": encode(event).decode()})
             # A server confirms no message, but its answer to a ping shows that it has read those before.
             pong = connection.ping()
         except WebSocketException:
@@ -88,7 +89,7 @@ class RosbridgeBridge(Bridge):
             # The server fills in the header's time.
             image = {"header": {"frame_id": pad}, **IMAGE, "data": pixels}
             with suppress(WebSocketException):
-                self._publish(self._connection, "pressure", image)
+                self._send(self._connection, "publish", "pressure", msg=image)
 
     def hang_up(self) -> None:
         if self._connection is not None:
@@ -102,10 +103,10 @@ class RosbridgeBridge(Bridge):
             if status.level == "error":
                 self.note_refused(str(status.msg))
 
-    def _publish(self, connection: ClientConnection, name: str, message: dict[str, Any]) -> None:
-        """Send a message; a failure closes the connection and raises WebSocketException."""
-        operation = {"op": "publish", "topic": f"{self._prefix}/{name}", "msg": message}
-        connection.send(msgspec.json.encode(operation).decode())
+    def _send(self, connection: ClientConnection, operation: str, name: str, **fields: Any) -> None:
+        """Send an operation on a topic; a failure closes the connection and raises WebSocketException."""
+        message = {"op": operation, "topic": f"{self._prefix}/{name}", **fields}
+        connection.send(msgspec.json.encode(message).decode())
 
 
 class _Status(msgspec.Struct, tag_field="op", tag="status"):
@@ -115,15 +116,16 @@ class _Status(msgspec.Struct, tag_field="op", tag="status"):
     msg: Any = ""
 
 
-def _limit(connection: ClientConnection, limit: PeerLimit) -> None:
-    """Shut a connection down once the server has sent too much, before websockets stores it."""
-    receive = connection.protocol.receive_data
+def _limit(limit: PeerLimit, line: socket.socket, protocol: ClientProtocol, **named: Any) -> ClientConnection:
+    """Return a connection that is shut down once the server sends too much, before websockets stores it."""
+    receive = protocol.receive_data
 
     def limited(data: bytes | bytearray) -> None:
         if limit.take(len(data)):
             receive(data)
         else:
             with suppress(OSError):
-                connection.socket.shutdown(socket.SHUT_RDWR)
+                line.shutdown(socket.SHUT_RDWR)
 
-    connection.protocol.receive_data = limited  # type: ignore[method-assign]
+    protocol.receive_data = limited  # type: ignore[method-assign]
+    return ClientConnection(line, protocol, **named)

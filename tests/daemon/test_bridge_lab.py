@@ -261,3 +261,16 @@ def test_messages_that_a_rosbridge_refuses_are_logged_once(
         bridge.stop(0.2)
     (said,) = (line for line in caplog.messages if "refused" in line)
     assert said.startswith("rosbridge: the peer refused something (publish: not allowed")
+
+
+def test_a_rosbridge_cannot_send_too_much_with_its_greeting(caplog: pytest.LogCaptureFixture) -> None:
+    pytest.importorskip("websockets")
+    port, flood = free_port(), b"\x01\x00" + b"\x00\x00" * 20_000
+    with attackers.server(port, lambda client, _: attackers.welcome(client, flood)):
+        from touchd.daemon.bridges.rosbridge import RosbridgeBridge
+
+        bridge = RosbridgeBridge(RosbridgeSettings(url=f"ws://127.0.0.1:{port}"), "touchd", PAD)
+        bridge.start()
+        wait_for(lambda: "is away" in caplog.text)
+        bridge.stop(0.2)
+    assert "is away (it sends more than answers" in caplog.text

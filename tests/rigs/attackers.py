@@ -97,10 +97,10 @@ def forward(
                     other.sendall(source.recv(CHUNK))
 
 
-def welcome(client: socket.socket) -> None:
-    """Greet a client of MQTT or of a websocket."""
+def welcome(client: socket.socket, more: bytes = b"") -> None:
+    """Greet a client of MQTT or of a websocket. more: sent together with the greeting."""
     key = re.search(rb"Sec-WebSocket-Key: (.*)\r", client.recv(CHUNK))
-    client.sendall(WELCOME % accept_key(key[1].decode()).encode() if key else CONNACK)
+    client.sendall((WELCOME % accept_key(key[1].decode()).encode() if key else CONNACK) + more)
 
 
 # MQTT
