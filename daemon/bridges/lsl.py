@@ -54,9 +54,5 @@ def marker_of(event: Event) -> str:
 
 def _ahead_of(clock: Callable[[], float]) -> float:
     """Return how far LSL's clock is ahead of `clock`, in seconds, by the quickest of some readings."""
-
-    def read() -> tuple[float, float]:
-        before_s, lsl_s, after_s = clock(), float(pylsl.local_clock()), clock()
-        return after_s - before_s, lsl_s - (before_s + after_s) / 2
-
-    return min(read() for _ in range(READINGS))[1]
+    readings = ((clock(), float(pylsl.local_clock()), clock()) for _ in range(READINGS))
+    return min((after - before, lsl - (before + after) / 2) for before, lsl, after in readings)[1]

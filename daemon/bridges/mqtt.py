@@ -125,9 +125,8 @@ class MqttBridge(Bridge):
             self._items.dropped += 1
             return
         when = {"time": timestamp(arrival_s(frame)), "sensor_ms": frame.sensor_ms}
-        client.publish(
-            f"{self._topic}/pressure", msgspec.json.encode(when | {"pressure": frame.pressure.tolist()})
-        )
+        content = msgspec.json.encode(when | {"pressure": frame.pressure.tolist()})
+        client.publish(f"{self._topic}/pressure", content)
 
     def close(self) -> None:
         if self._peer_is_there.is_set():

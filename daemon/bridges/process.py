@@ -74,11 +74,12 @@ class ProcessBridge(Bridge):
             finally:
                 process.kill()
         if process.returncode < 0:
-            return f"it ended: others on the network may have sent more than {MOST_MB} MB"
+            return f"it was ended: it hung, or others on the network sent more than {MOST_MB} MB"
         return last or f"it ended with code {process.returncode}"
 
-    def close(self) -> None:
-        super().close()
+    def stop(self, timeout_s: float) -> None:
+        super().stop(timeout_s)
+        # A process that hangs would outlive the daemon.
         if self._process is not None:
             self._process.kill()
 
@@ -94,14 +95,16 @@ class ProcessBridge(Bridge):
                 self._process.stdin.close()
 
     def _write(self, item: Item) -> bool:
-        """Write an item; return False if the process has ended, or if the daemon is stopping."""
-        process, data = self._process, pickle.dumps(item)
+        """Write an item; return False if the process has ended or hangs, or if the daemon is stopping."""
+        process, data, until_s = self._process, pickle.dumps(item), time.monotonic() + STALE_S
         if process is None or process.stdin is None:
             return False
         try:
             while data and not self._abandoned.is_set():
                 if select.select([], [process.stdin], [], POLL_S)[1]:
                     data = data[os.write(process.stdin.fileno(), data) :]
+                elif time.monotonic() >= until_s:
+                    process.kill()
         # ValueError: the pipe is closed.
         except (OSError, ValueError):
             return False

@@ -2,6 +2,7 @@
 
 import itertools
 import re
+import signal
 import socket
 import threading
 import time
@@ -103,15 +104,26 @@ def test_states_outlast_events_in_a_full_queue(peer: Peer, monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize("peer", APART, indirect=True)
-def test_a_process_that_ended_is_started_again(peer: Peer) -> None:
+def test_a_process_that_hangs_is_started_again(peer: Peer, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("touchd.daemon.bridges.process.STALE_S", 0.2)
     bridge: Any = peer.bridge()
     wait_for(bridge._peer_is_there.is_set)
-    ended = bridge._process
-    ended.kill()
-    wait_for(lambda: bridge._process is not ended)
+    hung = bridge._process
+    hung.send_signal(signal.SIGSTOP)
+
+    def is_replaced() -> bool:
+        for number in range(50):
+            bridge.put_frame(frame(number), PAD)
+        return bridge._process is not hung
+
+    wait_for(is_replaced)
     peer.start()
     put_until_received(peer, bridge)
     peer.stop()
+    # Nor does it outlive the daemon.
+    bridge._process.send_signal(signal.SIGSTOP)
+    bridge.stop(STOP_S)
+    assert bridge._process.wait(STOP_S / 2) == -signal.SIGKILL
 
 
 @pytest.mark.parametrize("peer", CONNECTING, indirect=True)
