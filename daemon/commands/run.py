@@ -113,6 +113,8 @@ def main(options: argparse.Namespace) -> int:
         # Never removed: threads may log while the program ends, which must not bypass it to standard error.
         logging.getLogger().addHandler(handler)
         log.info("%s; journal: %s", found, settings.journal.file if settings.journal else "none")
+        if settings.robot is None and any(pad.scene.actions for pad in settings.pads.values()):
+            log.warning("scene.actions: no robot is configured, so nothing acts; set robot.url")
         favour_latency()
         health = Health(os.environ, service.pads, service.events)
         closing.callback(health.close)

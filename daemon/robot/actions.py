@@ -66,15 +66,12 @@ class Action(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class ActionRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """When the robot carries out which actions, in order.
+    """When the robot carries out which actions, in order; a rule fires once per answer and touch.
 
-    gestures: empty means any gesture, but "other" and "uncertain" must be named.
-    stages: of an answer that is told, or was told before. Empty means any stage at which the answer is new:
-    the first of its touch, or another than the last. Either way, a rule fires once per answer and touch: with
-    [final, released], once on the settled answer.
-    changed: only for an answer that replaces another one of the same touch. Such an answer triggers the rules
-    with changed: true if any fits, and otherwise those without.
-    above, below: only for a touch whose measures are at least these, or less than these.
+    gestures: empty means any, but "other" and "uncertain" must be named. stages: of an answer that is told,
+    or was told before; empty means any at which the answer is new: the first of its touch, or another than
+    the last. changed: only for an answer that replaces another one of the same touch; if such a rule fits,
+    those without changed do not apply. above, below: limits of the touch's measures.
     """
 
     do: Annotated[tuple[Action, ...], msgspec.Meta(min_length=1, max_length=16)]

@@ -24,13 +24,14 @@ from rigs.programs import TOUCHD, Program, ran
 from rigs.service_manager import Manager
 from rigs.wait import AT_ONCE_S, WITHIN_S
 
-from touchd.daemon.app.config import JournalSettings, PadSettings, SensorSettings, Settings
+from touchd.daemon.app.config import JournalSettings, PadSettings, SceneSettings, SensorSettings, Settings
 from touchd.daemon.app.parts import PadChannel
 from touchd.daemon.app.systemd import Health
 from touchd.daemon.path import service as daemon_loop
 from touchd.daemon.path.events import Event, SensorEvent, TouchEnded, encode
 from touchd.daemon.path.service import Service
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
+from touchd.daemon.robot.actions import Action, ActionRule
 from touchd.daemon.sinks.sink import EventFanout, LinesSink
 from touchd.daemon.sinks.touches import decode
 from touchd.drivers.fakes.fake_port import FakePort
@@ -329,8 +330,11 @@ def test_under_nohup_a_closed_terminal_does_not_end_it(pad: FakePort) -> None:
         assert daemon.wait(WITHIN_S) == 0
 
 
-def test_a_missing_pad_is_awaited_and_reported(spawn: Spawn, tmp_path: Path, manager: Manager) -> None:
-    daemon = spawn(str(tmp_path / "pad"))
+def test_a_missing_pad_or_robot_is_reported(
+    spawn: Spawn, tmp_path: Path, manager: Manager, capfd: pytest.CaptureFixture[str]
+) -> None:
+    scene = SceneSettings(actions=(ActionRule(do=(Action(say="Oh"),)),))
+    daemon = spawn(str(tmp_path / "pad"), scene=scene)
     manager.await_ready()
     event = next(daemon.events())
     assert (type(event), event.state) == (SensorEvent, "down")
@@ -338,6 +342,7 @@ def test_a_missing_pad_is_awaited_and_reported(spawn: Spawn, tmp_path: Path, man
     # As Ctrl-C does.
     daemon.process.send_signal(signal.SIGINT)
     assert daemon.process.wait(AT_ONCE_S) == 0
+    assert "scene.actions: no robot is configured, so nothing acts" in capfd.readouterr().err
 
 
 def test_a_stalled_reader_and_dead_robot_lose_no_journal_line(
