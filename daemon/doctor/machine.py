@@ -54,7 +54,7 @@ def robot_urls(typed: str) -> Sequence[str]:
         rest = f"[{rest}]"
     host, port = re.fullmatch(r"(\[.*\]|[^:]*)(?::(.*))?", rest, re.DOTALL).groups()  # type: ignore[union-attr]
     scheme = scheme.lower()
-    urls = [f"{scheme}://{host}:{port or ROBOT_PORTS.get(scheme)}"] if scheme else []
+    urls = [f"{scheme}://{host}:{port or ROBOT_PORTS.get(scheme, '')}".rstrip(":")] if scheme else []
     urls += [f"{each}://{host}:{port}" for each in ROBOT_PORTS if port]
     urls += [f"{each}://{host}:{usual}" for each, usual in ROBOT_PORTS.items()]
     try:

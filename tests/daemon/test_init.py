@@ -116,6 +116,7 @@ def test_an_unproven_pad_is_refused_in_one_line(
         (["--port", "."], SensorError, "is not a serial port"),
         (["--port", "tcp://10.0.0.5"], SensorError, "lacks its port"),
         (["--port", "none", "--robot", 'x: {"y": # 😀'], RobotError, "is not a robot's name or address"),
+        (["--port", "none", "--robot", "http://nao"], RobotError, "'http://nao' is not a robot's name"),
         (["missing/touchd.yaml", "--port", "none"], ConfigError, r"cannot be written .*; give another path"),
     ],
 )
