@@ -8,6 +8,7 @@ import io
 import logging
 import os
 import signal
+import socket
 import sys
 from collections.abc import Sequence
 from importlib import metadata
@@ -146,8 +147,8 @@ def complain(error: Exception) -> int:
 def _explained(error: Exception) -> tuple[str, int]:
     """Return an error in words, and the exit code for it."""
     if isinstance(error, TouchdError):
-        # This computer does not have the address yet: let systemd restart the service.
-        is_early = getattr(error.__cause__, "errno", None) == errno.EADDRNOTAVAIL
+        # This computer has no such address or no name server yet: let systemd restart the service.
+        is_early = getattr(error.__cause__, "errno", None) in (errno.EADDRNOTAVAIL, socket.EAI_AGAIN)
         return str(error), OUR_MISTAKE if is_early else USERS_MISTAKE
     if isinstance(error, ModuleNotFoundError) and (extra := extra_of(error.name or "")):
         # A shell comment, as the command may be pasted with it.
@@ -159,6 +160,9 @@ def _explained(error: Exception) -> tuple[str, int]:
     if isinstance(error, OSError) and error.errno in (errno.EACCES, errno.ENAMETOOLONG):
         advice = "give another path, or put sudo before the command"
         return f"{error.filename}: {error.strerror}; {advice}", USERS_MISTAKE
+    if isinstance(error, UnicodeEncodeError):
+        # Only arguments and the names of files have such characters.
+        return "an argument or a file's name is not UTF-8; rename the file, or type it again", USERS_MISTAKE
     what = " ".join(f"internal error: {type(error).__name__}: {error}; --debug shows the trace".split())
     if os.environ.get("PYTHONPATH"):
         # Labs set it for ROS or NAOqi; it makes Python import other versions of libraries.

@@ -53,8 +53,7 @@ def listen(settings: LiveSettings) -> socket.socket:
         takes_both = host == "::" and socket.has_dualstack_ipv6()
         listening = socket.create_server(address[:2], family=family, dualstack_ipv6=takes_both)
     except OSError as error:
-        is_elsewhere = error.errno == errno.EADDRNOTAVAIL or isinstance(error, socket.gaierror)
-        if not is_elsewhere or ip_of(host):
+        if error.errno != errno.EADDRNOTAVAIL or ip_of(host):
             raise _cannot_listen(host, port, error) from error
         log.warning("live page: %s is no name of this computer; serving at all of its addresses", host)
         return listen(msgspec.structs.replace(settings, host="0.0.0.0"))
@@ -70,6 +69,7 @@ def _cannot_listen(host: str, port: int, error: OSError) -> LiveError:
         errno.EACCES: "ports below 1024 are the system's; choose a higher one",
         errno.EADDRNOTAVAIL: "this computer has no such address; 127.0.0.1 is this computer alone, "
         "0.0.0.0 the network too",
+        socket.EAI_NONAME: "no such name is known; check it, or give it an address in /etc/hosts",
     }
     why = known.get(error.errno or 0, f"{error.strerror}; choose another address")
     return LiveError(f"the live page cannot listen on {host} port {port}: {why}")

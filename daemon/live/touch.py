@@ -67,10 +67,8 @@ class Touching:
         except (msgspec.DecodeError, UnicodeDecodeError):
             return "not a touch"
         pressed: dict[Hashable, Pointer] = {
-            (viewer, spot.pointer): Pointer(
-                ROWS * spot.y - 0.5, COLUMNS * spot.x - 0.5, touch.size, spot.pressure
-            )
-            for spot in touch.at
+            (viewer, pointer): Pointer(ROWS * y - 0.5, COLUMNS * x - 0.5, touch.size, pressure)
+            for pointer, x, y, pressure in touch.at
         }
         with self._lock:
             self.near_s = now_s

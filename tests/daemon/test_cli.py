@@ -167,6 +167,7 @@ def test_a_terminal_without_a_character_shows_a_replacement() -> None:
     [
         ("xyz", "xyz is not a command; there are init, run,"),
         ("clasify", "clasify is not a command; did you mean classify?"),
+        ("run -c /dev/null --port /dev/\udcff", "an argument or a file's name is not UTF-8"),
         (f"init {'x' * 300}", "File name too long; give another path"),
         ("classify nowhere.csv", "nowhere.csv: cannot be read as a recording (No such file or directory)"),
         (f"classify {GESTURES} --participant nobody", "no recording matches; participant is one of "),
