@@ -84,9 +84,10 @@ def pad_picture(pressure: NDArray[np.float64], scale: int, console: Console) -> 
 
 
 def _pad_line(upper: Sequence[str], lower: Sequence[str]) -> Text:
-    line = Text()
+    line, end = Text("▀" * len(upper)), 0
     for pair, run in groupby(zip(upper, lower, strict=True)):
-        line.append("▀" * len(list(run)), Style.parse("{} on {}".format(*pair)))
+        begin, end = end, end + len(list(run))
+        line.stylize(Style.parse("{} on {}".format(*pair)), begin, end)
     return line
 
 

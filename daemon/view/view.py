@@ -174,8 +174,10 @@ class View:
         width, height = console.size
         with self._lock:
             lines = self._draw(max(width, LEAST_COLUMNS), max(height, LEAST_ROWS))
-        whole = Text("\n", PAPER, no_wrap=True, overflow="crop", end="")
-        yield whole.join(_fitted(lines, width, height))
+        for number, line in enumerate(_fitted(lines, width, height)):
+            # Not joined and wrapped, which rich does slowly.
+            line.stylize_before(PAPER)
+            yield from line.render(console, "\n" if number < height - 1 else "")
 
     def _draw(self, width: int, height: int) -> list[Text]:
         keys = self._keys_lines(width)
@@ -254,9 +256,7 @@ class View:
             which = f"{which} {touch.began.touch} · {self._length_s(touch):.1f} s"
         if touch and touch.predictions:
             word = self._name(touch.predictions[-1].gesture)
-            style = CHANGED if self._before(touch.predictions) else ACCENT
-            if touch.ended is not None:
-                style = MUTED
+            style = MUTED if touch.ended else CHANGED if self._before(touch.predictions) else ACCENT
         elif touch is None or touch.ended is not None:
             sensor = self._latest.sensor
             word = "no pad" if sensor and sensor.state == "down" else "touch me"
