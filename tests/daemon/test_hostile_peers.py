@@ -127,7 +127,6 @@ TOGETHER = (
             ("udp", attackers.dds_participants(DOMAIN)),
         ),
         Attacked("serial", pad_at("tcp"), attackers.zeros),
-        Attacked("serial", pad_at("socket"), attackers.zeros),
         Attacked("serial", pad_at("udp"), None, ("udp", attackers.datagrams)),
     ),
 )
