@@ -27,11 +27,11 @@ from touchd.daemon.playback.rig import encoder_for
 from touchd.drivers.fakes.fake_port import FakePort
 from touchd.drivers.robot.session import RobotSettings
 
-# What a bridge's own process may take, and what the daemon itself may. In a minute, the process grows by 20 MB,
-# as a part of what it had reserved before is used then, and the daemon by 4 MB, most of it at the beginning.
+# What a bridge's own process may take, and what the daemon itself may. In a minute, the process grows by 20
+# MB, as a part of what it had reserved before is used then, and the daemon by 4, most of it at the beginning.
 MOST_GROWTH_MB = MOST_MB + 12.0
-# The log is limited by the minute, and an attack of a minute spans two. Beside the place that floods it, others
-# log how each pad's connections come and go: 30 lines in a minute.
+# The log is limited by the minute, and an attack of a minute spans two. Beside the place that floods it,
+# others log how each pad's connections come and go: 30 lines in a minute.
 MOST_LOG_LINES = 2 * MOST_LINES + 40
 SETTLING_S = 0.7
 # A separate DDS domain, unlike a lab's.

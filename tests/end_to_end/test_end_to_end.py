@@ -28,6 +28,7 @@ from rigs.patient_port import PATIENT, PatientPort
 from rigs.robots import Robot
 from rigs.running_daemon import run_daemon, totals
 from rigs.service_manager import Manager
+from rigs.wait import WITHIN_S
 
 from touchd.daemon.app.config import SensorSettings, Settings
 from touchd.daemon.path.events import Event, Prediction, TouchBegan
@@ -103,6 +104,7 @@ HELD_UP_TURNS, TURNS, FAST = 8, 16, 10.0
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(300)
 def test_after_an_overrun_losses_are_counted_and_answers_right(tmp_path: Path) -> None:
     # The daemon is stopped for eight repetitions of the recording, then gets them as fast as the line allows.
     stream = splice(read_recordings(LENGTHS) * TURNS)
@@ -118,7 +120,7 @@ def test_after_an_overrun_losses_are_counted_and_answers_right(tmp_path: Path) -
         daemon.process.send_signal(signal.SIGSTOP)
         assert not port.wait(held_up_s)
         daemon.process.send_signal(signal.SIGCONT)
-        assert port.wait(60)
+        assert port.wait(WITHIN_S)
         daemon.process.terminate()
         events = list(daemon.events())
         assert daemon.stop() == 0
