@@ -6,6 +6,7 @@ import os
 import shlex
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -40,6 +41,8 @@ DESCRIPTION = (
     "2: wrong options."
 )
 
+_quoted = partial(json.dumps, ensure_ascii=False)
+
 
 class Found(NamedTuple):
     """A port, its baud rate, and the pad there; None if its bytes are not understood."""
@@ -67,9 +70,9 @@ def main(options: argparse.Namespace) -> int:
     """Write the file and print the next steps; returns 0 when pad and robot answered, else 1."""
     _check(options)
     console = Console(stderr=True, highlight=False, markup=False, soft_wrap=True)
-    found = _find(console, options)
+    found, touchd = _find(console, options), program_name()
     if found is not None and found.described is None:
-        how = f"no configuration was written; how to describe a pad: {program_name()} docs pads"
+        how = f"no configuration was written; how to describe a pad: {touchd} docs pads"
         console.print(how, style="bold")
         return 1
     # Without a pad, assume a fabric pad. Its baud rate is not the first of the usual ones.
@@ -90,7 +93,6 @@ def main(options: argparse.Namespace) -> int:
         if certificate:
             console.print(f"from now on, only this robot is trusted (robot.certificate): {certificate}")
         is_well &= check.verdict == "ok"
-    touchd = program_name()
     console.print(f"wrote {file}; next: {touchd} doctor -c {file}, then {touchd} run -c {file}")
     return 0 if is_well else 1
 
@@ -123,10 +125,6 @@ def _write(
     ):
         new.write_text("\n".join(lines), encoding="utf-8")
     load(file)
-
-
-def _quoted(text: str) -> str:
-    return json.dumps(text, ensure_ascii=False)
 
 
 def _ports() -> list[str]:

@@ -17,10 +17,10 @@ from touchd.drivers.pad.format import PadFormat, RawFrame, Values
 
 # A header this long hardly ever occurs among cells.
 LONG_HEADER = 3
-CELL_BITS = {"u8": 8, "u12": 12, "u16": 16, "i16": 16, "f32": 32}
+CELL_BITS = {"u8": 8, "i8": 8, "u12": 12, "u16": 16, "i16": 16, "f32": 32}
 PLAIN_CELLS = {
     (cell, order): f"{sign}{kind}"
-    for cell, kind in (("u8", "u1"), ("u16", "u2"), ("i16", "i2"), ("f32", "f4"))
+    for cell, kind in (("u8", "u1"), ("i8", "i1"), ("u16", "u2"), ("i16", "i2"), ("f32", "f4"))
     for order, sign in (("little", "<"), ("big", ">"))
 }
 # The order of the bits in a packed cell.

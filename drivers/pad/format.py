@@ -14,7 +14,7 @@ SHORTEST_SIDE, LONGEST_SIDE = 4, 64
 Side = Annotated[int, msgspec.Meta(ge=SHORTEST_SIDE, le=LONGEST_SIDE)]
 Few = Annotated[int, msgspec.Meta(ge=0, le=64)]
 # The largest value of a cell; a float has no relevant limit.
-CELL_TOP = {"u8": 255, "u12": 4095, "u16": 65535, "i16": 32767}
+CELL_TOP = {"u8": 255, "i8": 127, "u12": 4095, "u16": 65535, "i16": 32767}
 
 Values = NDArray[np.generic]
 """The cells of a frame as sent, in order: unsigned, signed or float."""
@@ -54,7 +54,7 @@ class SentFormat(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     end: str = ""
     header: str = ""
     clock: Literal["none", "ms", "us", "s"] = "none"
-    cell: Literal["u8", "u12", "u16", "i16", "f32"] = "u16"
+    cell: Literal["u8", "i8", "u12", "u16", "i16", "f32"] = "u16"
     order: Literal["little", "big"] = "little"
     checksum: Literal["none", "values", "sum8", "xor8"] = "none"
     full_scale: Annotated[float, msgspec.Meta(gt=0, le=4e9)] = MAX_COUNT

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from msgspec.structs import replace
@@ -18,10 +19,9 @@ Cells = NDArray[np.int_]
 
 # Frames compared, and random shuffles of the cells. Between 300 and 2000 frames, 2 % of the verdicts differ.
 MOST_FRAMES, SHUFFLES = 500, 200
-# Every other row runs backwards if cells correlate with those below them in reversed order by more than this
-# share of their correlation with those beside them: 0.9 to 1.0 on generated pads of that kind, below 0.5 on
-# the third study's pad, which is not.
-BACKWARDS = 0.7
+# Cells are out of order if some that are farther apart correlate more than nearer ones by this: in 2 of 340
+# touches, and in 9 of 10 generated pads whose rows, columns or halves are out of order.
+FARTHER_CLOSER = 0.4
 # Neighbours must correlate more than shuffled cells by this many standard deviations: 67 of the 75 touches
 # pass, and 4 of 438 streams with shuffled cells.
 SURE = 2.5
@@ -29,8 +29,6 @@ SURE = 2.5
 # oscillate 4-fold. A cell rests at its lower quartile; the spread is the 30th percentile of the distances of
 # all values from their cell's median.
 AT_REST, NEAR_REST, FARTHER = 0.25, 0.3, 10.0
-# Swap rows and columns if neighbours then correlate more by this. On a firm pad, they gain 0.07 to 0.33.
-TIE = 0.005
 # Movement against the press must be less than this share of the movement with it: it is 0.26 in touches (95th
 # percentile), 0.9 in channels that oscillate.
 BOTH_WAYS = 0.4
@@ -41,6 +39,8 @@ JUMPY = 0.5
 # Dead cells read 0 or full scale throughout. More than two constant values are not cells, but row numbers or
 # the headers of packets.
 FEW_STILL = 2
+# Half floats are 0 or at least this, as which 4096 reads, and rest at a small share of a press.
+TINY_HALF, MOST_HALVES, RESTING_HALF = 2.0**-11, 0.985, 0.05
 # Full scales: those of common converters for whole numbers, round numbers for others.
 CONVERTERS = (1023.0, 4095.0, 65535.0)
 ROUND = tuple(each * 10.0**power for power in range(-6, 7) for each in (1, 2, 5))
@@ -65,8 +65,8 @@ class Placement:
 
 
 def thinned(numbers: Numbers) -> Numbers:
-    """Return evenly spaced frames of (frames, numbers), at most MOST_FRAMES."""
-    return numbers[:: -(-len(numbers) // MOST_FRAMES)]
+    """Return every n-th of (frames, numbers), at most MOST_FRAMES; n is odd, to show two pads by turns."""
+    return numbers[:: -(-len(numbers) // MOST_FRAMES) | 1]
 
 
 def movement(values: Numbers) -> Moved:
@@ -91,17 +91,21 @@ def pairs(cells: Cells) -> tuple[Cells, Cells]:
     return one, other
 
 
-def together(moved: Moved, one: Cells, other: Cells) -> float:
-    """Return the mean correlation of cells with others."""
-    return float((moved[:, one.ravel()] * moved[:, other.ravel()]).sum() / one.size)
+def disorder(values: Numbers, shape: tuple[int, int]) -> float:
+    """Return by how much the steps of cells farther apart correlate more than those of nearer ones, at most.
 
-
-def runs_to_and_fro(moved: Moved, cells: Cells) -> bool:
-    """Whether every other row of a grid is sent backwards: reversed, its cells correlate with those below."""
-    backwards = cells.copy()
-    backwards[1::2] = cells[1::2, ::-1]
-    beside = together(moved, cells[:, :-1], cells[:, 1:])
-    return together(moved, backwards[:-1], backwards[1:]) > BACKWARDS * beside
+    Each correlation is a mean over the pairs of cells that are as many rows and columns apart.
+    """
+    rows, columns = shape
+    steps = np.diff(thinned(values), axis=0)
+    unit = (steps / np.maximum(np.linalg.norm(steps, axis=0), 1e-9)).reshape(-1, rows, columns)
+    padded = (2 * rows, 2 * columns)
+    power = np.square(np.abs(np.fft.rfft2([*unit, unit.any(axis=0)], padded)))
+    shared, pairs_there = np.fft.irfft2([power[:-1].sum(axis=0), power[-1]], padded)
+    shared /= np.maximum(pairs_there, min(shape))
+    apart = np.maximum(shared[:rows, :columns], shared[:rows, -np.arange(columns)])
+    nearer = np.minimum.accumulate(np.minimum.accumulate(apart, axis=0), axis=1)
+    return float((apart - np.maximum(nearer, 0)).max())
 
 
 def deviations(moved: Moved, cells: Cells) -> float:
@@ -118,16 +122,21 @@ def objection(placed: Placement) -> str:
     """Return why a placement's cells are not a pressed pad; "" if they are proven to be one."""
     if missing := _unpressed(placed.described, placed.values):
         return missing
+    sent = placed.described
+    if sent.framing == "binary" and sent.cell in ("u16", "i16") and _may_be_halves(placed.values):
+        return (
+            "its cells look like half floats: send u16 or f32; if they are whole numbers, write this format"
+        )
     lowest = placed.values if placed.described.invert else np.quantile(placed.values, AT_REST, axis=0)
     if -float(lowest.min()) * MAX_COUNT > FIRM_PRESS * placed.described.full_scale:
         return "its numbers fall below 0, which touchd reads as 0: print pressure from 0 up"
     moved = movement(placed.values)
     if deviations(moved, placed.cells) < SURE:
         return "neighbouring cells do not move together: press one place at a time, all over the pad"
-    if runs_to_and_fro(moved, placed.cells):
-        return "every other row seems to run backwards: print all rows in one direction"
     if _jumping(placed.values) > JUMPY:
-        return "its numbers jump: other rows and columns, two pads, or cells not u8, u16, i16 or f32?"
+        return "its numbers jump: other rows and columns, two pads, or cells of another type?"
+    if disorder(placed.values, placed.cells.shape) > FARTHER_CLOSER:
+        return "its cells come in another order: send all rows in one direction, with nothing between them"
     still = set(placed.values[0, np.ptp(placed.values, axis=0) == 0].tolist())
     if placed.described.skip + placed.described.tail and len(still) > FEW_STILL:
         return "numbers among its cells never change: press all over the pad; print the cells in one piece"
@@ -147,6 +156,13 @@ def _unpressed(described: PadFormat, values: Numbers, least: float = LEAST_PRESS
     return ""
 
 
+def _may_be_halves(values: Numbers) -> bool:
+    """Whether 16-bit values, read as half floats, are of usual sizes and rest near 0."""
+    halves = np.abs(values.astype(np.int32).astype(np.uint16).view(np.float16).astype(np.float64))
+    is_usual = (halves >= TINY_HALF) | (values == 0)
+    return is_usual.mean() >= MOST_HALVES and bool(np.median(halves) < RESTING_HALF * halves.max())
+
+
 def _jumping(values: Numbers) -> float:
     """Return the share of jumps in the sum of squared steps."""
     steps = np.diff(values, axis=0)
@@ -164,17 +180,8 @@ def settled(placed: Placement) -> PadFormat:
     scale = min(next((each for each in usual if each >= largest), largest), top)
     rest = np.median(values, axis=0)[np.ptp(values, axis=0) > 0]
     falls = bool(rest.size and np.median(rest) > scale / 2)
-    rows, columns = placed.cells.shape[::-1] if _is_turned(placed) else placed.cells.shape
+    rows, columns = min(placed.cells.shape, placed.cells.T.shape, key=partial(disorder, values))
     described = replace(described, rows=rows, columns=columns, full_scale=scale)
     likelier, other = (replace(described, invert=invert) for invert in (falls, not falls))
     is_other = _unpressed(likelier, values) and not _unpressed(other, values, FIRM_PRESS)
     return other if is_other else likelier
-
-
-def _is_turned(placed: Placement) -> bool:
-    """Whether neighbours correlate more with rows and columns swapped."""
-    moved, cells, turned = movement(placed.values), placed.cells.ravel(), placed.cells.T.shape
-    # A wide hand moves the cells of a row together; those exactly one below the other still correlate more.
-    before, below = (together(moved, cells[lag:], cells[:-lag]) for lag in (turned[1] - 1, turned[1]))
-    more = together(moved, *pairs(cells.reshape(turned))) - together(moved, *pairs(placed.cells))
-    return below > before and more > TIE

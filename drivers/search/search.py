@@ -22,7 +22,7 @@ from touchd.drivers.pad.format import LONGEST_SIDE, PRESETS, SHORTEST_SIDE, Layo
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.search import binary, text
 from touchd.drivers.search.listen import MOST_BYTES, Chunk, seconds_of
-from touchd.drivers.search.proof import Placement, movement, objection, pairs, settled, thinned, together
+from touchd.drivers.search.proof import Placement, movement, objection, pairs, settled, thinned
 
 Grid = tuple[int, int]
 SIDES = range(SHORTEST_SIDE, LONGEST_SIDE + 1)
@@ -162,7 +162,8 @@ def _fit(chunks: Sequence[Chunk], placed: Placement) -> tuple[float, bool, float
     is_checked = placed.described.tail == 1 and _completed(placed.described, chunks).checksum != "none"
     steps = np.abs(np.diff(thinned(placed.values), axis=0)).mean(axis=0)
     roughness = max(float(steps.sum()) / max(int((steps > 0).sum()), 1), 1e-9)
-    fit = together(movement(placed.values), *pairs(placed.cells)) / roughness**ROUGHNESS
+    moved, (one, other) = movement(placed.values), pairs(placed.cells)
+    fit = float((moved[:, one] * moved[:, other]).sum() / one.size) / roughness**ROUGHNESS
     return round(fit, 2), is_checked, round(fit, 4), -float(np.ptp(np.median(placed.values, axis=0)))
 
 

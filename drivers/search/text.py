@@ -73,7 +73,8 @@ def printed(lines: Sequence[TextLine]) -> Iterator[Printed]:
         return
     numbers = leads[:, 1:]
     falls = (np.diff(leads[:, :MOST_BESIDE], axis=0) < 0).T
-    for end in ("", *_usual_ends(lines)):
+    ends = Counter(end for _, end in lines if end and end.isprintable())
+    for end in ("", *(end for end, _ in ends.most_common(MOST_ENDS))):
         ended = np.cumsum([0, *(after.endswith(end) for _, after in lines)])
         # Without an end text, any other line ends a frame. So does a label or leading number that falls.
         is_split = np.diff(ended[at]) > (0 if end else 1)
@@ -83,11 +84,6 @@ def printed(lines: Sequence[TextLine]) -> Iterator[Printed]:
                 yield Printed(numbers[whole], skip, end)
     for skip in range(MOST_BESIDE + 1):
         yield Printed(numbers[:, None], skip, "")
-
-
-def _usual_ends(lines: Sequence[TextLine]) -> list[str]:
-    ends = Counter(end for _, end in lines if end and end.isprintable())
-    return [end for end, _ in ends.most_common(MOST_ENDS)]
 
 
 def _whole_frames(is_split: NDArray[np.bool_]) -> NDArray[np.intp] | None:

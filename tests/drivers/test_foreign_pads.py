@@ -95,6 +95,7 @@ READ: dict[str, Printed] = {
     "u16, length, sum": lambda v, n: b"\x55\xaa" + summed(struct.pack("<HH", 160, 7) + sent(v, "<u2")),
     "u16, 64-bit clock": lambda v, n: b"\x55\xaa" + struct.pack("<Q", 10**8 + 20_000 * n) + sent(v, "<u2"),
     "u16, big counter": lambda v, n: b"\x55\xaa" + struct.pack(">I", n) + sent(v, ">u2"),
+    "i8": lambda v, n: b"\xa5\x5a" + sent(v // 9 - RNG.integers(0, 3, v.shape), "i1"),
     "i16": lambda v, n: b"\xa5\x5a" + sent(v - 4, "<i2"),
     "16-bit converter": lambda v, n: b"\xa5\x5a" + sent(60 * v + RNG.integers(0, 30, v.shape), "<u2"),
     "f32": lambda v, n: b"\xaa\x55\xaa\x55" + sent(v / 1023, "<f4"),
@@ -110,7 +111,15 @@ REFUSED: dict[str, Printed | tuple[Printed, str]] = {
     "row numbers inside": lambda v, n: (
         json.dumps([{"row": i + 1, "v": r.tolist()} for i, r in enumerate(v)]) + "\n"
     ),
-    "rows to and fro": (lambda v, n: line(to_and_fro(v)), "backwards"),
+    "rows to and fro": (lambda v, n: line(to_and_fro(v)), "another order"),
+    "even rows first": (lambda v, n: line(np.concatenate([v[::2], v[1::2]])), "another order"),
+    "lower half first": (lambda v, n: line(np.roll(v, 4, axis=0)), "another order"),
+    "left half first": (lambda v, n: line(v[:, :5], end=",") + line(v[:, 5:]), "another order"),
+    "bytes between rows": (
+        lambda v, n: b"\xaa\x55" + b"".join(sent(r, "<u2") + b"\0\0" for r in v),
+        "another order",
+    ),
+    "half floats": (lambda v, n: b"\xaa\x55" + sent(v / 1023, "<f2"), "half floats"),
     "pads by turns": (lambda v, n: line(v) + line(v[::-1, ::-1]), "two pads"),
     "a clock inside": lambda v, n: f"{line(v[:4], end=f',{20 * n},')}{line(v[4:])}",
     "two pads": (lambda v, n: line(v, end=" | ") + line(v), "160 numbers a frame, which do not fit 8x10"),
