@@ -28,7 +28,6 @@ RESTARTED_MS = 1000
 MOST_LOST_SHARE = 0.02
 LEAST_TOUCHED_SHARE = 0.5
 SINGLE_WITHIN_S, LONGEST_SINGLE_S = 8.0, 2.0
-NO_FRAME = "no frames arrive: is the pad plugged in and running?"
 
 
 class PadLost(Exception):  # noqa: N818 - names what happened; the recording is repeated
@@ -115,7 +114,7 @@ class PadReader:
                 self._check_taxels(item)
                 yield passed_ms / 1000, item
             elif item is None or self._away:
-                raise PadLost(self._away or NO_FRAME)
+                raise PadLost(self._away or "no frames arrive: is the pad plugged in and running?")
 
     def _check_taxels(self, frame: Frame) -> None:
         """Check for taxels that stand still, once a second."""

@@ -16,7 +16,6 @@ from touchd.drivers.recording import Recording, realign, setup_of
 NS_PER_MS = 1_000_000
 # Gap between two recordings.
 PAUSE_MS = 1000
-BYTES_PER_TAXEL = 2
 # Foxglove's own definition; its image panel shows the pad.
 RAW_IMAGE = {
     "title": "foxglove.RawImage",
@@ -77,7 +76,7 @@ def _image(counts: Counts, ms: int) -> dict[str, Any]:
         "width": COLUMNS,
         "height": ROWS,
         "encoding": "mono16",
-        "step": COLUMNS * BYTES_PER_TAXEL,
+        "step": COLUMNS * counts.itemsize,
         # Encoded as base64.
         "data": counts.astype("<u2").tobytes(),
     }
