@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.cells import cell_len, set_cell_size
 from rich.color import blend_rgb, parse_rgb_hex
 from rich.console import Console
 from rich.style import Style
@@ -125,7 +126,7 @@ def bars(
     """
     width, height = size
     likeliest = sorted(names, key=lambda gesture: -shares.get(gesture, 0.0))[:height]
-    name_width = min(max((len(name) for name in names.values()), default=0), width // 2)
+    name_width = min(max(map(cell_len, names.values()), default=0), width // 2)
     room = max(width - name_width - 1 - PERCENT_WIDTH, 1)
     lines = []
     for gesture in (gesture for gesture in names if gesture in likeliest):
@@ -137,7 +138,7 @@ def bars(
         number = "-" if share is None else f"{share:.0%}"
         lines.append(
             Text.assemble(
-                (f"{names[gesture][:name_width]:<{name_width}} ", style),
+                (f"{set_cell_size(names[gesture], name_width)} ", style),
                 (bar, ACCENT if is_answer else MUTED),
                 ("─" * (room - len(bar)), RAIL),
                 (f"{number:>{PERCENT_WIDTH}}", style),
@@ -207,9 +208,9 @@ def _with_flag(line: Text, flag: Flag, column: int) -> Text:
     text, pole = f" {flag.text} "[: len(line) - 1], style + (CHANGED if flag.changed else ACCENT)
     drawn = Text.assemble(("▌", pole), (text, style))
     # Without room to the right of the mark, the flag hangs to its left.
-    if column + len(drawn) > len(line):
-        column, drawn = max(column - len(text), 0), Text.assemble((text, style), ("▐", pole))
-    return Text.assemble(line[:column], drawn, line[column + len(drawn) :])
+    if column + drawn.cell_len > line.cell_len:
+        column, drawn = max(column - cell_len(text), 0), Text.assemble((text, style), ("▐", pole))
+    return Text.assemble(line[:column], drawn, line[column + drawn.cell_len :])
 
 
 def _labels(marks_s: Sequence[float], column: Callable[[float], int], width: int) -> str:

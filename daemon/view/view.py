@@ -170,12 +170,11 @@ class View:
         signal.signal(signal.SIGTSTP, self._on_ctrl_z)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Yield the picture at the size of the terminal."""
+        """Yield the picture at the size of the terminal, line by line: rich joins and wraps text slowly."""
         width, height = console.size
         with self._lock:
             lines = self._draw(max(width, LEAST_COLUMNS), max(height, LEAST_ROWS))
         for number, line in enumerate(_fitted(lines, width, height)):
-            # Not joined and wrapped, which rich does slowly.
             line.stylize_before(PAPER)
             yield from line.render(console, "\n" if number < height - 1 else "")
 
