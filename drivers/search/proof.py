@@ -136,7 +136,7 @@ def objection(placed: Placement) -> str:
     if _jumping(placed.values) > JUMPY:
         return "its numbers jump: other rows and columns, two pads, or cells of another type?"
     if disorder(placed.values, placed.cells.shape) > FARTHER_CLOSER:
-        return "its cells come in another order: send all rows in one direction, with nothing between them"
+        return "its cells come in another order: is the grid right? send rows one way, nothing between them"
     still = set(placed.values[0, np.ptp(placed.values, axis=0) == 0].tolist())
     if placed.described.skip + placed.described.tail and len(still) > FEW_STILL:
         return "numbers among its cells never change: press all over the pad; print the cells in one piece"

@@ -183,6 +183,14 @@ def test_a_grid_that_is_sent_column_by_column_is_turned() -> None:
     assert (proposed.rows, proposed.columns) == (10, 8)
 
 
+@pytest.mark.parametrize("told", [(5, 16), (16, 5), (4, 20)])
+def test_another_grid_of_as_many_cells_is_refused(told: tuple[int, int]) -> None:
+    values = a_hand_on(8, 10)
+    finding, _ = found_in(lambda number: line(values[number]), told)
+    assert finding.proposed is None
+    assert "is the grid right?" in finding.missing
+
+
 def test_without_a_grid_only_rows_and_presets_are_read() -> None:
     values = a_hand_on(12, 10)
     rows, _ = found_in(lambda number: table(values[number]) + "\r\n", None)
