@@ -63,7 +63,7 @@ class RosbridgeBridge(Bridge):
         except WebSocketException as error:
             reason = str(error)
         if limit.is_exceeded:
-            return "it sends more than answers, and touchd subscribes to nothing"
+            return "it sends more than answers, and touchd subscribes to nothing; is it a rosbridge?"
         return reason.replace(url, self._settings.shown_url)
 
     def send_event(self, event: Event) -> bool:
