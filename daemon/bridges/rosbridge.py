@@ -33,14 +33,13 @@ TOPICS = {"gesture": "std_msgs/String", "event": "std_msgs/String", "pressure": 
 
 
 class RosbridgeBridge(Bridge):
-    """Publishes the topics of `Ros2Outlet`. name: of the robot."""
+    """Publishes the topics of `Ros2Outlet`; each pad has a connection of its own. name: of the robot."""
 
     def __init__(self, settings: RosbridgeSettings, name: str, pad: str) -> None:
         self._settings = settings
         self._id = f"touchd_{name}"
         self._prefix = f"/{name}/{pad}"
         self._connection: ClientConnection | None = None
-        # Each pad has a connection of its own.
         where = f"{settings.shown_url} ({self._prefix})"
         # The bridge logs why a connection ended; the library's own lines would show the URL's token.
         logging.getLogger("websockets.client").setLevel(logging.CRITICAL)

@@ -18,7 +18,6 @@ log = logging.getLogger(__name__)
 # Send buffer of a connection: a second or two of frames.
 SEND_BUFFER_BYTES = 16 * 1024
 EVERY_ADDRESS = ("0.0.0.0", "::")
-HIGHEST_PORT = 65535
 
 
 class LiveError(TouchdError):
@@ -33,7 +32,7 @@ def parse_address(text: str, configured: LiveSettings | None) -> LiveSettings:
     host, _, port = text.rpartition(":")
     # Without brackets, the end of an IPv6 address would be taken for a port.
     is_host = ":" not in host or (host.startswith("[") and host.endswith("]"))
-    if not is_host or not (port.isascii() and port.isdigit()) or int(port) > HIGHEST_PORT:
+    if not is_host or not (port.isascii() and port.isdigit()) or int(port) not in range(65536):
         raise ConfigError(f"--live {text}: not [HOST:]PORT, such as 8054, 0.0.0.0:8054 or [::1]:8054")
     host = host.removeprefix("[").removesuffix("]") or settings.host
     return msgspec.structs.replace(settings, host=host, port=int(port))

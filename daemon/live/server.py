@@ -123,6 +123,7 @@ class LiveServer:
     async def _serve(self) -> None:
         # Keep clients' connects and errors out of the daemon's log.
         logging.getLogger("websockets.server").setLevel(logging.CRITICAL)
+        logging.getLogger("asyncio").setLevel(logging.ERROR)
         connections: dict[Connection, None] = {}
         server = await serve(
             self._watch,

@@ -17,6 +17,7 @@ from touchd.daemon.sinks.labels import Labeller
 # Connections of any kind, including those for files and idle ones.
 MOST_CONNECTIONS = 64
 MOST_VIEWERS = 16
+READ_BYTES = 4096
 # Backlog, besides the kernel's buffer, above which a viewer gets no frames: about half a second.
 FRAME_BACKLOG_BYTES = 4096
 # Backlog above which a viewer is disconnected; its page reconnects and gets the state, which has some 800 kB
@@ -39,6 +40,8 @@ class Connection(ServerConnection):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(transport)
+        # Of asyncio's 256 KiB, a client could make 40,000 frames at once.
+        transport.max_size = READ_BYTES  # type: ignore[attr-defined]
         self._together[self] = None
         if len(self._together) > MOST_CONNECTIONS:
             half_open = (one for one in self._together if one.state is State.CONNECTING)

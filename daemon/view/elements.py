@@ -30,7 +30,6 @@ CHANGED_FLAG = Style.parse("#ffb65c on #3b2a12")
 # As on the live page: colours follow the logarithm of pressure, from "light" to "firm" counts.
 LIGHT_COUNTS = 4.0
 FIRM_COUNTS = 250.0
-# The page's dark theme, which rich turns into the terminal's colours; from no pressure to firm.
 HEAT = [parse_rgb_hex(colour) for colour in ("171c24", "42249a", "85248a", "d04361", "f9903f", "fdf4b5")]
 SHADES = 64
 COLOURS = [

@@ -94,8 +94,7 @@ def _read(fd: int, on_key: Callable[[str], None], ended: threading.Event) -> Non
         while not ended.is_set():
             if not select.select([fd], [], [], POLL_S)[0] or ended.is_set():
                 continue
-            data = os.read(fd, 64)
-            if not data:
+            if not (data := os.read(fd, 64)):
                 return
             # Arrow keys and pasted text arrive as several bytes at once.
             if len(data) == 1 and data.isascii():

@@ -19,6 +19,7 @@ from rigs.wait import AT_ONCE_S, WITHIN_S, once_in_three
 
 from touchd.daemon.app import cli
 from touchd.daemon.app.config import SensorSettings, Settings
+from touchd.daemon.live.viewers import Connection
 from touchd.daemon.path.events import Event, Prediction, TouchEnded
 from touchd.daemon.path.pipeline import Clock, Pipeline, PipelineSettings
 from touchd.daemon.playback.rig import SpawnedDaemon, encoder_for
@@ -33,7 +34,17 @@ EMPTY_CONTINUATION = b"\x00\x80" + bytes(4)
 
 
 @pytest.mark.parametrize("said", [PING, EMPTY_CONTINUATION], ids=["pings", "empty fragments"])
-def test_a_flooding_viewer_is_disconnected(served: Served, said: bytes) -> None:
+def test_a_flooding_viewer_is_disconnected(
+    served: Served, said: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sizes: list[int] = []
+
+    def data_received(self: Connection, data: bytes) -> None:
+        sizes.append(len(data))
+        received(self, data)
+
+    received = Connection.data_received
+    monkeypatch.setattr(Connection, "data_received", data_received)
     with served.look() as viewer, socket.create_connection(("127.0.0.1", served.port), WITHIN_S) as flood:
         viewer.recv(timeout=WITHIN_S)
         flood.sendall(HANDSHAKE.format(port=served.port).encode() + EMPTY_TEXT * (said != PING))
@@ -43,6 +54,8 @@ def test_a_flooding_viewer_is_disconnected(served: Served, said: bytes) -> None:
                 sent += flood.send(said * 100)
         # At most what the kernel's buffers hold on both sides.
         assert sent < 8_000_000
+        # Each empty fragment in it takes forty times its size.
+        assert max(sizes) <= 4096
         frames_among(viewer, served.put_frame())
 
 
