@@ -434,8 +434,20 @@ def test_the_page_is_served_and_answered_by_any_name(
     assert is_own_host(f"{name}:8054", own_names(settings))
 
 
-def test_another_computers_address_is_refused_and_retried_by_systemd() -> None:
-    with pytest.raises(LiveError, match="this computer has no such address") as raised:
-        listen(LiveSettings(host="192.0.2.1", port=0))
-    # At boot the address may come late; systemd does not start the service again after 2.
+@pytest.mark.parametrize(
+    ("host", "why"),
+    [("192.0.2.1", "this computer has no such address"), ("labserver", "Temporary failure in")],
+)
+def test_what_may_come_late_at_boot_is_retried_by_systemd(
+    host: str, why: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if host == "labserver":
+
+        def unanswered(*_: object, **__: object) -> None:
+            raise socket.gaierror(socket.EAI_AGAIN, "Temporary failure in name resolution")
+
+        monkeypatch.setattr(socket, "getaddrinfo", unanswered)
+    with pytest.raises(LiveError, match=why) as raised:
+        listen(LiveSettings(host=host, port=0))
+    # systemd does not start the service again after 2.
     assert complain(raised.value) == 1
