@@ -35,7 +35,7 @@ LIMITS = {">=": "at least", "<=": "at most", ">": "more than", "<": "less than"}
 UNITS = {"_s": "seconds", "_hz": "per second", "_mm": "millimetres", "_frames": "frames"}
 # msgspec's names of types, in words.
 KINDS = {
-    "object": "settings (name: value)",
+    "object": "settings (name: value, or {})",
     "array": "a list (- item)",
     "str": "text (in quotes)",
     "int": "a whole number",

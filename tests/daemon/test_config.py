@@ -156,6 +156,7 @@ def test_the_example_names_every_setting_outside_the_pads_format() -> None:
         ("rosbridge: {url: 'robot:9090'}", "another form expected, as in url: ws://robot:9090"),
         ("words: {pat: clap}", "not text; as in words: {stroke: {name: caress, phrase: a caress}}"),
         ("[sensor]\nport=a", "line 2, column 1: settings (name: value) expected"),
+        ("lsl: true", "lsl: settings (name: value, or {}) or null expected, not true or false"),
         ("model: a\n---\nmodel: b", "line 2, column 1: one document expected; remove the line ---"),
         ("\n\n# Größe".encode("latin-1"), "line 3: invalid start byte; save the file as UTF-8 text"),
         pytest.param("#" * (MAX_BYTES + 1), "larger than 64 KiB", id="huge"),
