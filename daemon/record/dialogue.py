@@ -48,9 +48,7 @@ HOW_ONCE = {"pat": "pat the pad once with a flat hand", "stroke": "stroke the pa
 HANDS_OFF = "hands off"
 QUIT = "q"
 REFRESH_HZ = 12
-PAD_SCALE = 2
-WIDTH = 56
-GAP = 2
+WIDTH, GAP, PAD_SCALE = 56, 2, 2
 # Noise above the lowest reading of a taxel.
 NOISE_COUNTS = 6.0
 

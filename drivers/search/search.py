@@ -18,6 +18,7 @@ from msgspec.structs import replace
 from touchd.drivers.frame import MIN_RATE_HZ, Frame
 from touchd.drivers.pace import relative_clock
 from touchd.drivers.pad.binary import CLOCK_BYTES
+from touchd.drivers.pad.clock import MAX_STEP_S
 from touchd.drivers.pad.format import LONGEST_SIDE, PRESETS, SHORTEST_SIDE, Layout, PadFormat
 from touchd.drivers.pad.parser import FrameParser
 from touchd.drivers.search import binary, text
@@ -227,9 +228,10 @@ def _unexplained(placed: Placement, described: PadFormat, chunks: Sequence[Chunk
     explained = 1 - (parser.counts.bad - parser.counts.bad_time - 1) / len(placed.values)
     if explained < EXPLAINED:
         return f"that explains {100 * explained:.0f} % of what came, not {100 * EXPLAINED:.0f} %"
-    came_s = np.array([frame.host_s for frame in frames])
-    rate_hz = 1 / max(float(np.diff(came_s).mean()), 1e-3)
-    pause_s = float(np.diff(came_s, prepend=chunks[0].host_s, append=chunks[-1].host_s).max())
+    waits_s = np.diff([chunks[0].host_s, *(frame.host_s for frame in frames), chunks[-1].host_s])
+    rate_hz, pause_s = 1 / max(float(waits_s[1:-1].mean()), 1e-3), float(waits_s.max())
     if not MIN_RATE_HZ <= rate_hz <= FASTEST_HZ or pause_s > LONGEST_PAUSE_S:
         return f"{rate_hz:.1f} frames/s come, pausing for up to {pause_s:.1f} s; 8 to 500 are needed"
+    if not described.has_clock and 2 * waits_s[waits_s > MAX_STEP_S].sum() > waits_s.sum():
+        return f"frames come in bursts, pausing for up to {pause_s:.1f} s: send the pad's clock with each"
     return ""

@@ -210,6 +210,16 @@ def test_a_slow_pad_is_refused_with_its_rate() -> None:
     assert search(steady, (8, 8)).proposed is not None
 
 
+@pytest.mark.parametrize(("clock", "missing"), [(False, "bursts"), (True, "")])
+def test_a_pad_that_sends_in_bursts_needs_a_clock(clock: bool, missing: str) -> None:
+    values = a_hand_on(8, 8)
+    sent = [(f"{20 * number + 7000}," * clock + line(each)).encode() for number, each in enumerate(values)]
+    bursts = [Chunk(b"".join(sent[first : first + 25]), first / RATE_HZ) for first in range(0, len(sent), 25)]
+    finding = search(bursts, (8, 8))
+    assert (finding.proposed is None) == bool(missing)
+    assert missing in finding.missing
+
+
 def waves(number: int, channels: int, speed: float) -> NDArray[np.float64]:
     at_s = number / RATE_HZ
     return np.array([np.sin(speed * at_s * (1 + 0.07 * each) + each) for each in range(channels)])
