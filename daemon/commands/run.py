@@ -86,8 +86,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def main(options: argparse.Namespace) -> int:
     """Run the daemon until Ctrl-C or SIGTERM, or until the reader of its output is gone; returns 0."""
     is_terminal = sys.stdout.isatty()
-    if options.view and not is_terminal:
-        raise ConfigError("--view needs a terminal")
+    if options.view and (not is_terminal or os.environ.get("TERM") in ("dumb", "unknown")):
+        raise ConfigError("--view needs a terminal, and a TERM other than dumb or unknown")
     in_words = is_terminal and not options.json
     tags = changed({}, options.tag)
     with config_errors():

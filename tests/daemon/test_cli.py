@@ -179,6 +179,12 @@ def test_a_mistake_is_reported_in_one_line(refusal: Refusal, words: str, message
     assert message in refusal(*words.split())
 
 
+def test_a_terminal_that_cannot_draw_gets_no_view(refusal: Refusal, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TERM", "dumb")
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    assert "--view needs a terminal, and a TERM other than dumb" in refusal("run", "--view")
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
