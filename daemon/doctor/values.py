@@ -127,8 +127,8 @@ def check_values(sample: Sample, full_scale: float) -> Iterator[Check]:
     """Report values that no hand makes: at their limit, above full scale, or jumping from frame to frame."""
     counts = sample.counts().astype(np.int64)
     if ((counts >= SATURATED_COUNT).mean(axis=(1, 2)) >= 1 / 4).mean() > 1 / 2:
-        found = "a quarter of the pad or more is at its limit"
-        yield Check("values", "to do", found, "take the load off the pad; if there is none, look for a short")
+        advice = "take the load off the pad; if there is none: is format's invert wrong? is there a short?"
+        yield Check("values", "to do", "a quarter of the pad or more is at its limit", advice)
     before, now, after = counts[:-2], counts[1:-1], counts[2:]
     there, back = now - before, now - after
     jump = np.where(there * back > 0, np.minimum(np.abs(there), np.abs(back)), 0)

@@ -115,6 +115,11 @@ def test_values_that_no_hand_makes_are_named(disturb: Change, clipped: float, fo
     assert [check.found for check in check_values(seen, 500)] == ([found] if found else [])
 
 
+def test_a_pad_read_upside_down_is_not_called_short_alone() -> None:
+    (check,) = check_values(sample(np.uint16(1023) - resting()), 1023)
+    assert "invert" in check.advice
+
+
 HIGH = np.random.default_rng(1).uniform(60, 180, (8, 8)).astype(np.uint16)
 LOADED = np.where(np.arange(64).reshape(8, 8) == 37, 600, HIGH).astype(np.uint16)
 
