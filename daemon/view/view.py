@@ -294,7 +294,8 @@ class View:
         action = self._latest.action
         if action is None:
             return Text()
-        words = action.what if action.action == "behavior" else f"“{action.what}”"
+        what = " ".join(action.what.split())
+        words = what if action.action == "behavior" else f"“{what}”"
         return Text.assemble((" Robot ", MUTED), (words, ROBOT + BOLD))
 
     def _keys_lines(self, width: int) -> list[Text]:
@@ -320,7 +321,7 @@ class View:
         return [*note.wrap(self._console, width)][:most]
 
     def _name(self, gesture: str) -> str:
-        return name_of(self._words, gesture)
+        return " ".join(name_of(self._words, gesture).split())
 
 
 def _fitted(lines: Sequence[Text], width: int, height: int) -> list[Text]:

@@ -75,7 +75,7 @@ def touch(view: View) -> None:
         view.put_frame(Frame(clock_ms, 0.0, np.full((8, 8), 90, np.uint16)))
     view.put(prediction("early", 54, "pat"))
     view.put(prediction("final", 144, "stroke"))
-    view.put(RobotAction(touch=7, action="say", what="Oh, it is a stroke!", time=""))
+    view.put(RobotAction(touch=7, action="say", what="Oh, it is\na stroke!", time=""))
     view.put(RobotAction(touch=7, action="leds", what="green", time=""))
 
 
@@ -166,7 +166,7 @@ def test_a_word_is_large_where_it_fits_and_never_cut() -> None:
 
 @pytest.mark.parametrize(
     "gestures",
-    [["hug", "pat"], [f"a-gesture-with-a-long-name-{i}" for i in range(12)], ["叩く", "ぽんぽんと叩く"]],
+    [["hug", "pat"], [f"a-gesture-with-a-long-name-{i}" for i in range(12)], ["叩く", "ぽんぽんと\n叩く"]],
 )
 def test_the_view_has_room_for_any_gestures(gestures: list[str]) -> None:
     view, console = view_of(80, 24)
@@ -175,7 +175,8 @@ def test_the_view_has_room_for_any_gestures(gestures: list[str]) -> None:
     view.put(msgspec.structs.replace(PREDICTION, gesture=gestures[-1], confidence=0.5, probabilities=shares))
     lines = screen(view, console)
     assert [cell_len(line) for line in lines] == [80] * 24
-    assert any(re.search(rf"{gestures[-1][:12]}\S* +█+.?─* +50% *$", line) for line in lines)
+    name = gestures[-1][:12].replace("\n", " ")
+    assert any(re.search(rf"{name}\S* +█+.?─* +50% *$", line) for line in lines)
 
 
 @pytest.mark.parametrize("language", ["en", "de"])
