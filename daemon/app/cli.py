@@ -160,7 +160,7 @@ def _explained(error: Exception) -> tuple[str, int]:
     if isinstance(error, OSError) and error.errno in (errno.EACCES, errno.ENAMETOOLONG):
         advice = "give another path, or put sudo before the command"
         return f"{error.filename}: {error.strerror}; {advice}", USERS_MISTAKE
-    if isinstance(error, UnicodeEncodeError):
+    if isinstance(error, UnicodeEncodeError) and error.encoding == "utf-8":
         # Only arguments and the names of files have such characters.
         return "an argument or a file's name is not UTF-8; rename the file, or type it again", USERS_MISTAKE
     what = " ".join(f"internal error: {type(error).__name__}: {error}; --debug shows the trace".split())
