@@ -76,7 +76,7 @@ def _image(counts: Counts, ms: int) -> dict[str, Any]:
         "width": COLUMNS,
         "height": ROWS,
         "encoding": "mono16",
-        "step": COLUMNS * counts.itemsize,
+        "step": 2 * COLUMNS,
         # Encoded as base64.
         "data": counts.astype("<u2").tobytes(),
     }
