@@ -127,7 +127,7 @@ def check_values(sample: Sample, full_scale: float) -> Iterator[Check]:
     """Report values that no hand makes: at their limit, above full scale, or jumping from frame to frame."""
     counts = sample.counts().astype(np.int64)
     if ((counts >= SATURATED_COUNT).mean(axis=(1, 2)) >= 1 / 4).mean() > 1 / 2:
-        advice = "take the load off the pad; if there is none: is format's invert wrong? is there a short?"
+        advice = "take the load off the pad; if there is none, check format's invert, or look for a short"
         yield Check("values", "to do", "a quarter of the pad or more is at its limit", advice)
     before, now, after = counts[:-2], counts[1:-1], counts[2:]
     there, back = now - before, now - after

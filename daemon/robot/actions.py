@@ -71,7 +71,7 @@ class ActionRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     gestures: empty means any, but "other" and "uncertain" must be named. stages: of an answer that is told,
     or was told before; empty means any at which the answer is new: the first of its touch, or another than
     the last. changed: only for an answer that replaces another one of the same touch; if such a rule fits,
-    those without changed do not apply. above, below: limits of the touch's measures.
+    those without changed do not apply. above, below: the touch's measures are at least, or less than, these.
     """
 
     do: Annotated[tuple[Action, ...], msgspec.Meta(min_length=1, max_length=16)]

@@ -21,7 +21,7 @@ Cells = NDArray[np.int_]
 MOST_FRAMES, SHUFFLES = 500, 200
 # Cells are out of order if some that are farther apart correlate more than nearer ones by this: in 2 of 340
 # touches, and in 9 of 10 generated pads whose rows, columns or halves are out of order.
-FARTHER_CLOSER = 0.4
+MOST_DISORDER = 0.4
 # Neighbours must correlate more than shuffled cells by this many standard deviations: 67 of the 75 touches
 # pass, and 4 of 438 streams with shuffled cells.
 SURE = 2.5
@@ -39,7 +39,8 @@ JUMPY = 0.5
 # Dead cells read 0 or full scale throughout. More than two constant values are not cells, but row numbers or
 # the headers of packets.
 FEW_STILL = 2
-# Half floats are 0 or at least this, as which 4096 reads, and rest at a small share of a press.
+# 16-bit cells may be half floats if, read as such, nearly all are 0 or at least TINY_HALF, and most are small
+# beside the largest. TINY_HALF has the bits of 4096, so that 12-bit cells are not taken for half floats.
 TINY_HALF, MOST_HALVES, RESTING_HALF = 2.0**-11, 0.985, 0.05
 # Full scales: those of common converters for whole numbers, round numbers for others.
 CONVERTERS = (1023.0, 4095.0, 65535.0)
@@ -65,7 +66,7 @@ class Placement:
 
 
 def thinned(numbers: Numbers) -> Numbers:
-    """Return every n-th of (frames, numbers), at most MOST_FRAMES; n is odd, to show two pads by turns."""
+    """Return every n-th of (frames, numbers), at most MOST_FRAMES; n is odd: two pads may alternate."""
     return numbers[:: -(-len(numbers) // MOST_FRAMES) | 1]
 
 
@@ -92,9 +93,9 @@ def pairs(cells: Cells) -> tuple[Cells, Cells]:
 
 
 def disorder(values: Numbers, shape: tuple[int, int]) -> float:
-    """Return by how much the steps of cells farther apart correlate more than those of nearer ones, at most.
+    """Return by how much cells farther apart correlate more than nearer ones, at most: 0 for a perfect grid.
 
-    Each correlation is a mean over the pairs of cells that are as many rows and columns apart.
+    It correlates steps from frame to frame, over all pairs that are as many rows and columns apart.
     """
     rows, columns = shape
     steps = np.diff(thinned(values), axis=0)
@@ -124,9 +125,7 @@ def objection(placed: Placement) -> str:
         return missing
     sent = placed.described
     if sent.framing == "binary" and sent.cell in ("u16", "i16") and _may_be_halves(placed.values):
-        return (
-            "its cells look like half floats: send u16 or f32; if they are whole numbers, write this format"
-        )
+        return "its cells look like half floats: send u16 or f32; if they are whole, write this format"
     lowest = placed.values if placed.described.invert else np.quantile(placed.values, AT_REST, axis=0)
     if -float(lowest.min()) * MAX_COUNT > FIRM_PRESS * placed.described.full_scale:
         return "its numbers fall below 0, which touchd reads as 0: print pressure from 0 up"
@@ -135,7 +134,7 @@ def objection(placed: Placement) -> str:
         return "neighbouring cells do not move together: press one place at a time, all over the pad"
     if _jumping(placed.values) > JUMPY:
         return "its numbers jump: other rows and columns, two pads, or cells of another type?"
-    if disorder(placed.values, placed.cells.shape) > FARTHER_CLOSER:
+    if disorder(placed.values, placed.cells.shape) > MOST_DISORDER:
         return "its cells come in another order: is the grid right? send rows one way, nothing between them"
     still = set(placed.values[0, np.ptp(placed.values, axis=0) == 0].tolist())
     if placed.described.skip + placed.described.tail and len(still) > FEW_STILL:
