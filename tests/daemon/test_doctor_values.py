@@ -96,10 +96,7 @@ def test_the_cause_of_noise_is_named(disturb: Change, found: str) -> None:
     assert (check.verdict == "ok", check.advice == "") == (not found, not found)
 
 
-SATURATED = (
-    "a quarter of the pad or more is at its limit: take the load off the pad; if there is none, "
-    "check format's invert, or look for a short"
-)
+SATURATED = "at its limit: take the load off the pad; if there is none, check format's invert"
 
 
 def jumping(counts: Counts) -> None:
