@@ -2,7 +2,6 @@
 
 import errno
 import io
-import logging
 import re
 import socket
 from ipaddress import IPv4Address, IPv6Address, ip_address
@@ -12,8 +11,6 @@ import msgspec
 from touchd.daemon.app.config import ConfigError, LiveSettings
 from touchd.drivers.errors import TouchdError
 from touchd.drivers.hosts import own_addresses
-
-log = logging.getLogger(__name__)
 
 # Send buffer of a connection: a second or two of frames.
 SEND_BUFFER_BYTES = 16 * 1024
@@ -54,7 +51,6 @@ def listen(settings: LiveSettings) -> socket.socket:
     except OSError as error:
         if error.errno != errno.EADDRNOTAVAIL or ip_of(host):
             raise _cannot_listen(host, port, error) from error
-        log.warning("live page: %s is no name of this computer; serving at all of its addresses", host)
         return listen(msgspec.structs.replace(settings, host="0.0.0.0"))
     # Every connection inherits it.
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)

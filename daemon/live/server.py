@@ -18,7 +18,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.frames import CloseCode
 
 from touchd.daemon.app.config import LiveSettings, Settings
-from touchd.daemon.live.address import listen, own_names, urls_of
+from touchd.daemon.live.address import ip_of, listen, own_names, urls_of
 from touchd.daemon.live.memory import Memory
 from touchd.daemon.live.page import Page
 from touchd.daemon.live.viewers import MOST_VIEWERS, Connection, Viewers, take_label
@@ -57,7 +57,7 @@ class LiveServer:
         touching: TakeMessage | None = None,
         labeller: Labeller | None = None,
     ) -> None:
-        live = settings.live or LiveSettings()
+        live = self._live = settings.live or LiveSettings()
         self.listening = listen(live)
         self.urls = urls_of(live, self.listening.getsockname()[1])
         self._pads = {name: Memory(pad, models[name]) for name, pad in settings.pads.items()}
@@ -75,6 +75,9 @@ class LiveServer:
 
     def start(self) -> None:
         log.info("live page: %s", " ".join(self.urls))
+        host = self._live.host
+        if self.listening.getsockname()[0] == "0.0.0.0" and ip_of(host) is None:
+            log.warning("live page: %s is no name of this computer; serving at all of its addresses", host)
         self._thread.start()
 
     def put(self, item: Event | LivePrediction) -> None:

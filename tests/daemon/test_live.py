@@ -420,8 +420,12 @@ def test_the_page_is_served_and_answered_by_any_name(
 
     monkeypatch.setattr(socket, "getaddrinfo", getaddrinfo)
     settings = LiveSettings(host=name, port=0)
-    with listen(settings) as listening:
-        assert listening.getsockname()[0] == address
+    page = LiveServer(Settings(live=settings), {"pad": None})
+    assert page.listening.getsockname()[0] == address
+    # Not before: the log is not set up while the daemon's parts are made.
+    assert not caplog.messages
+    page.start()
+    page.stop(WITHIN_S)
     warned = f"{name} is no name of this computer; serving at all of its addresses"
     assert (warned in caplog.text) == (address == "0.0.0.0")
     assert is_own_host(f"{name}:8054", own_names(settings))
