@@ -251,11 +251,7 @@ def test_a_pythonpath_that_may_be_the_cause_is_named(tmp_path: Path) -> None:
         ('model: "a\\0b"', "embedded null"),
         ("sensor: {port: /etc/hostname}", "/etc/hostname is not a serial port"),
         ("sensor: {port: 'nonsense://x'}", "nonsense://x cannot be opened: not an address such as tcp://"),
-        ("sensor: {port: 'udp://127.0.0.1:70000'}", "not an address such as tcp://192.168.1.20:4000"),
-        (
-            "sensor: {port: 'tcp://nao'}",
-            "tcp://nao cannot be opened: lacks its port; write it as in tcp://nao:4000",
-        ),
+        ("sensor: {port: 'tcp://nao'}", "cannot be opened: lacks its port; write it as in tcp://nao:4000"),
         ("journal: {path: /nowhere/events.jsonl}", "journal /nowhere/events.jsonl: cannot be written"),
         ("robot: {url: 'udp://nao.local'}", "'udp://nao.local' is not a robot's name or address, such as"),
     ],
