@@ -121,6 +121,8 @@ class TouchSampler:
         soft = self.soft[chosen]
         made_soft = soft & is_unknown & ~is_real
         counts = self._on_pads(batch.counts, soft, made_soft)
+        # Slow caresses made on fabric teach less if they are then read as another pad.
+        counts = torch.where((is_slow & ~soft)[:, None, None, None], batch.counts, counts)
         return self._mix(replace(batch, counts=vary(counts, varied, self.rng)), soft)
 
     def _vary_hands(self, batch: Touches, plain: Tensor, chosen: Tensor, still: Tensor) -> None:
