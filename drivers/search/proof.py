@@ -39,9 +39,9 @@ JUMPY = 0.5
 # Dead cells read 0 or full scale throughout. More than two constant values are not cells, but row numbers or
 # the headers of packets.
 FEW_STILL = 2
-# 16-bit cells may be half floats if, read as such, nearly all are 0 or at least TINY_HALF, and most are small
-# beside the largest. TINY_HALF has the bits of 4096, so that 12-bit cells are not taken for half floats.
-TINY_HALF, MOST_HALVES, RESTING_HALF = 2.0**-11, 0.985, 0.05
+# 16-bit cells may be half floats near 0 if nearly all are 0 or have the bits of 2^-11 or more,
+# and rest at 0 or spread: generated ones by 128 or more, whole numbers of 5,000 to 20,000 by at most 40.
+SIGN, TINY_HALF, INFINITY, MOST_HALVES, HALVES_SPREAD = 0x8000, 0x1000, 0x7C00, 0.985, 64.0
 # Full scales: those of common converters for whole numbers, round numbers for others.
 CONVERTERS = (1023.0, 4095.0, 65535.0)
 ROUND = tuple(each * 10.0**power for power in range(-6, 7) for each in (1, 2, 5))
@@ -156,10 +156,11 @@ def _unpressed(described: PadFormat, values: Numbers, least: float = LEAST_PRESS
 
 
 def _may_be_halves(values: Numbers) -> bool:
-    """Whether 16-bit values, read as half floats, are of usual sizes and rest near 0."""
-    halves = np.abs(values.astype(np.int32).astype(np.uint16).view(np.float16).astype(np.float64))
-    is_usual = (halves >= TINY_HALF) | (values == 0)
-    return is_usual.mean() >= MOST_HALVES and bool(np.median(halves) < RESTING_HALF * halves.max())
+    """Whether 16-bit values have the bits of half floats of usual sizes that rest near 0."""
+    is_usual = (values == 0) | ((values % SIGN >= TINY_HALF) & (values % SIGN < INFINITY))
+    rest = np.median(values, axis=0)
+    spread = np.quantile(np.abs(values - rest), NEAR_REST)
+    return bool(is_usual.mean() >= MOST_HALVES and (spread > HALVES_SPREAD or not np.median(rest)))
 
 
 def _jumping(values: Numbers) -> float:

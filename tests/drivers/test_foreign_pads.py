@@ -98,6 +98,9 @@ READ: dict[str, Printed] = {
     "i8": lambda v, n: b"\xa5\x5a" + sent(v // 9 - RNG.integers(0, 3, v.shape), "i1"),
     "i16": lambda v, n: b"\xa5\x5a" + sent(v - 4, "<i2"),
     "16-bit converter": lambda v, n: b"\xa5\x5a" + sent(60 * v + RNG.integers(0, 30, v.shape), "<u2"),
+    "16-bit converter, offset": lambda v, n: (
+        b"\xa5\x5a" + sent(12_000 + 12 * v + RNG.integers(0, 40, v.shape), "<u2")
+    ),
     "f32": lambda v, n: b"\xaa\x55\xaa\x55" + sent(v / 1023, "<f4"),
 }
 REFUSED: dict[str, Printed | tuple[Printed, str]] = {
