@@ -43,7 +43,7 @@ def listen(settings: LiveSettings) -> socket.socket:
     """
     host, port = settings.host, settings.port
     try:
-        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        found = socket.getaddrinfo(host.encode(), port, type=socket.SOCK_STREAM)
         # A name may have only an IPv6 address, as localhost on some computers.
         family, *_, address = min(found, key=lambda entry: entry[0] != socket.AF_INET)
         takes_both = host == "::" and socket.has_dualstack_ipv6()

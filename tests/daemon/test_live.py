@@ -414,8 +414,8 @@ def test_the_page_is_served_and_answered_by_any_name(
 ) -> None:
     look_up = socket.getaddrinfo
 
-    def getaddrinfo(host: str, port: int, **options: Any) -> list[Any]:
-        numbers = found.split() if host == name else [host]
+    def getaddrinfo(host: bytes, port: int, **options: Any) -> list[Any]:
+        numbers = found.split() if host == name.encode() else [host]
         return [entry for number in numbers for entry in look_up(number, port, **options)]
 
     monkeypatch.setattr(socket, "getaddrinfo", getaddrinfo)
@@ -438,12 +438,15 @@ def test_the_page_is_served_and_answered_by_any_name(
         ("192.0.2.1", 0, "this computer has no such address", 1),
         ("labserver", socket.EAI_AGAIN, "no answer; choose another address", 1),
         ("labserver", socket.EAI_NONAME, "no such name is known; check it, or", 2),
+        # Python's codec for names of other scripts refuses it.
+        ("a..b", socket.EAI_NONAME, "no such name is known; check it, or", 2),
     ],
 )
 def test_an_address_that_cannot_be_served_is_refused(
     host: str, failure: int, why: str, code: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def getaddrinfo(*_: object, **__: object) -> None:
+    def getaddrinfo(host: str | bytes, *_: object, **__: object) -> None:
+        assert isinstance(host, bytes) or host.encode("idna")
         raise socket.gaierror(failure, "no answer")
 
     if failure:
