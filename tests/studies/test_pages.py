@@ -16,7 +16,7 @@ from touchd.model.classifier import SHIPPED_MODEL
 from touchd.model.studies import accuracy, adapting, decision, new_pad, others, paper, speed, tables
 from touchd.model.studies.challenge import table as challenge
 from touchd.model.studies.checks.scores import read_scores
-from touchd.model.studies.marked import PLACE, PageError, fill, table
+from touchd.model.studies.marked import PLACE, PageError, fill, percent, table
 from touchd.model.studies.results import Results, ResultsError, stored
 from touchd.model.studies.sessions import passing
 from touchd.model.training.recipe import read_recipe
@@ -60,6 +60,16 @@ def test_a_page_shows_the_stored_figures(name: str, tmp_path: Path) -> None:
     fill(again, shown)
     assert again.read_text(encoding="utf-8") == published.read_text(encoding="utf-8")
     assert {place for _, place, _ in PLACE.findall(published.read_text(encoding="utf-8"))} == set(shown)
+
+
+@pytest.mark.parametrize("length", accuracy.LENGTHS)
+def test_the_readme_shows_the_stored_scores(length: int) -> None:
+    scores = read_scores(SHIPPED_MODEL.with_name(SCORES_NAME))
+    readme = (DOCS.parent / "README.md").read_text(encoding="utf-8")
+    row = next(line for line in readme.splitlines() if f"({length} frames)" in line)
+    _, _, ours, _, *others, _ = (cell.strip(" *") for cell in row.split("|"))
+    people = (scores.test, scores.second_study, scores.third_study, scores.new_pad)
+    assert [ours, *others] == [percent(accuracy.at(each, length).accuracy) for each in people]
 
 
 def test_adapting_was_measured_with_the_shipped_settings_on_everybody() -> None:
