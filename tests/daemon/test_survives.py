@@ -36,6 +36,8 @@ EMPTY_CONTINUATION = b"\x00\x80" + bytes(4)
 
 @pytest.mark.parametrize("said", [PING, EMPTY_CONTINUATION], ids=["pings", "empty fragments"])
 def test_a_flooding_viewer_is_disconnected(served: Served, said: bytes) -> None:
+    # By itself, the kernel's buffer grows to tens of megabytes.
+    served.sink.listening.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 65_536)
     received = Connection.data_received
     seen = patch.object(Connection, "data_received", autospec=True, side_effect=received)
     with (
